@@ -6,6 +6,22 @@ from pathlib import Path
 
 import numpy as np
 
+__all__ = [
+    "check_choice",
+    "check_columns",
+    "check_count",
+    "check_file",
+    "check_image",
+    "check_number",
+    "check_plan",
+    "check_points",
+    "check_polygon",
+    "check_positive",
+    "check_same_crs",
+    "check_upright",
+    "check_values",
+]
+
 
 def check_points(points, *, name="points", columns=3, minimum=1):
     """Return ``points`` as finite float64 of shape ``(n, columns)`` with ``n >= minimum``.
@@ -57,7 +73,7 @@ def check_plan(points, *, name="points", minimum=1):
 
 
 def check_polygon(vertices, *, name="polygon"):
-    """Return the vertices of a polygon, shape (m, 3) with m >= 3, the first not repeated.
+    """Return the vertices of a polygon, shape (m, 3) with m >= 3, none repeated by the next.
 
     Examples
     --------
@@ -65,8 +81,8 @@ def check_polygon(vertices, *, name="polygon"):
     3
     """
     ring = check_points(vertices, name=name)
-    closed = len(ring) > 1 and np.array_equal(ring[0], ring[-1])
-    return check_points(ring[:-1] if closed else ring, name=name, minimum=3)
+    kept = (ring != np.roll(ring, -1, axis=0)).any(axis=1)
+    return check_points(ring[kept], name=name, minimum=3)
 
 
 def check_image(image, *, convert=True):
@@ -88,9 +104,9 @@ def check_image(image, *, convert=True):
 
 
 def check_same_crs(name, crs, other_name, other):
-    """Raise where a coordinate reference system differs from another in plan or is not in metres.
+    """Raise where a coordinate reference system differs from another or is not in metres.
 
-    What is not known, None, agrees with all.
+    What is not known, None, agrees with all; so do heights that one of both does not name.
 
     Examples
     --------
@@ -103,13 +119,29 @@ def check_same_crs(name, crs, other_name, other):
     """
     if crs is None:
         return
-    ours, theirs = (one.sub_crs_list[0] if one.is_compound else one for one in (crs, other or crs))
-    if ours.name != theirs.name and not ours.equals(theirs, ignore_axis_order=True):
-        wanted = f"{theirs.name}, the {other_name}'s"
-        raise ValueError(f"Invalid {name} in {ours.name}. Must be in {wanted}.")
-    odd = [axis.unit_name for axis in crs.axis_info if axis.unit_conversion_factor != 1]
-    if odd:
-        raise ValueError(f"Invalid {name} in {odd[0]} ({crs.name}). Must be projected, in metres.")
+    ours, theirs = (one.sub_crs_list if one.is_compound else [one] for one in (crs, other or crs))
+    for part, wanted in zip(ours, theirs, strict=False):  # in plan, and heights where both name one
+        if part.name != wanted.name and not part.equals(wanted, ignore_axis_order=True):
+            must = f"{wanted.name}, the {other_name}'s"
+            raise ValueError(f"Invalid {name} in {part.name}. Must be in {must}.")
+    for axis in crs.axis_info:
+        if axis.unit_conversion_factor != 1:
+            odd = f"{'heights in ' if axis.direction == 'up' else ''}{axis.unit_name}"
+            raise ValueError(f"Invalid {name} in {odd} ({crs.name}). Must be projected, in metres.")
+
+
+def check_upright(name, crs):
+    """Raise where the third coordinate is not the height: in a geocentric system.
+
+    Examples
+    --------
+    >>> import pyproj
+    >>> check_upright("cloud", pyproj.CRS("EPSG:4978"))
+    Traceback (most recent call last):
+    ValueError: Invalid cloud in geocentric WGS 84. Must have z upwards.
+    """
+    if crs is not None and crs.is_geocentric:
+        raise ValueError(f"Invalid {name} in geocentric {crs.name}. Must have z upwards.")
 
 
 def check_file(path, name):
@@ -121,6 +153,8 @@ def check_file(path, name):
     Traceback (most recent call last):
     FileNotFoundError: Invalid marks none.csv: no such file. Must exist.
     """
+    if Path(path).is_dir():
+        raise FileNotFoundError(f"Invalid {name} {path}: a folder. Must be a file.")
     if not Path(path).is_file():
         raise FileNotFoundError(f"Invalid {name} {path}: no such file. Must exist.")
     return Path(path)
@@ -133,11 +167,12 @@ def check_columns(table, columns, name):
     --------
     >>> check_columns({"juror": [1]}, ("juror", "mark"), "marks")
     Traceback (most recent call last):
-    ValueError: Invalid marks: no column 'mark'. Must have one.
+    ValueError: Invalid marks: no column 'mark' beside juror. Must have one.
     """
     for column in columns:
         if column not in table:
-            raise ValueError(f"Invalid {name}: no column {column!r}. Must have one.")
+            beside = f"beside {', '.join(map(str, table))}" if len(table) else "at all"
+            raise ValueError(f"Invalid {name}: no column {column!r} {beside}. Must have one.")
 
 
 def check_number(value, name, *, low=-np.inf, high=np.inf, unit=""):

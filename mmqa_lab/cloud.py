@@ -18,6 +18,9 @@ CROWDED = 1e8
 # Neighbours of a mobile mapping cloud lie nearer than this, m.
 FARTHEST_NEIGHBOUR_M = 1.5
 
+# Edges of buildings are shorter than this, m.
+LONGEST_EDGE_M = 300.0
+
 # Points below which nothing is said of a unit.
 FEWEST_FOR_UNIT = 50
 
@@ -145,7 +148,9 @@ def describe(cloud: Cloud) -> dict:
     }
 
 
-def unit_remarks(points: ArrayLike, *, crs: object = None, share: float = 1.0) -> list[str]:
+def unit_remarks(
+    points: ArrayLike, *, crs: object = None, share: float = 1.0, lengths: ArrayLike | None = None
+) -> list[str]:
     """Return what speaks against coordinates in metres with z upwards, a sentence for each.
 
     Reading warns of it (``io.read_cloud``, ``io.iterate_cloud``), since files often name no
@@ -161,6 +166,8 @@ def unit_remarks(points: ArrayLike, *, crs: object = None, share: float = 1.0) -
         What the file names.
     share : float
         Share of the whole cloud's points: a part may be thinner than the whole.
+    lengths : array_like, optional
+        Lengths of the edges whose ends the points are: judged in place of distances of neighbours.
 
     Returns
     -------
@@ -177,23 +184,27 @@ def unit_remarks(points: ArrayLike, *, crs: object = None, share: float = 1.0) -
     ['Coordinates look like degrees, but are taken for metres.']
     """
     points = np.asarray(points)
-    if crs is not None and getattr(crs, "is_geocentric", False):
+    if crs is not None and crs.is_geocentric:
         return [f"Coordinates are geocentric ({crs.name}): z is not upwards."]
-    if len(points) < FEWEST_FOR_UNIT:
+    if len(points) < FEWEST_FOR_UNIT or (crs is not None and crs.is_geographic):
         return []
     local = points - points[0]
     wide, high = np.ptp(local[:, :2], axis=0).max(), np.ptp(local[:, 2])
     crowded = len(points) > CROWDED * wide**2 and high > wide > 0
     if crowded and np.abs(points[:, :2]).max() <= 180:
         return ["Coordinates look like degrees, but are taken for metres."]
-    if wide > 0 and (points == np.round(points)).all():
+    if lengths is not None:
+        size, longest, found = np.median(lengths), LONGEST_EDGE_M, "Edges are {:.3g} units long"
+    elif wide > 0 and (points == np.round(points)).all():
         return ["Coordinates are whole numbers, as in millimetres, but are taken for metres."]
-    seeds = local[np.linspace(0, len(local) - 1, 7).astype(int)]
-    squares = [((local - seed) ** 2).sum(axis=1) for seed in seeds]
-    apart = np.sqrt(np.median([square[square > 0].min(initial=np.inf) for square in squares]))
-    if apart * np.sqrt(share) > FARTHEST_NEIGHBOUR_M:
-        found = f"Points lie {apart:.3g} units apart: they look like millimetres"
-        return [f"{found}, but are taken for metres."]
+    else:
+        seeds = local[np.linspace(0, len(local) - 1, 7).astype(int)]
+        squares = [((local - seed) ** 2).sum(axis=1) for seed in seeds]
+        squares = [square[square > 0].min(initial=np.inf) for square in squares]
+        size = np.sqrt(share * np.median(squares))
+        longest, found = FARTHEST_NEIGHBOUR_M, "Points lie {:.3g} units apart"
+    if longest < size < np.inf:
+        return [f"{found.format(size)}: they look like millimetres, but are taken for metres."]
     return []
 
 

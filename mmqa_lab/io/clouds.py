@@ -1,0 +1,339 @@
+"""Clouds of any form: LAS and LAZ here, PLY and text by their rooms; and marks of their points."""
+
+from __future__ import annotations
+
+import os
+import struct
+import warnings
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mmqa_lab._checks import check_choice, check_columns, check_file, check_points
+from mmqa_lab.cloud import Cloud, unit_remarks
+from mmqa_lab.io.files import reading, write_atomically
+from mmqa_lab.io.ply import read_ply
+from mmqa_lab.io.systems import las_system
+from mmqa_lab.io.tables import coordinate_columns, text_table, with_numbers
+
+__all__ = ["CLOUD_ENDINGS", "LAS_ENDINGS", "iterate_cloud", "read_cloud", "write_cloud"]
+
+LAS_ENDINGS = (".las", ".laz")
+TEXT_ENDINGS = (".txt", ".csv", ".xyz", ".pts", ".asc")
+CLOUD_ENDINGS = (*LAS_ENDINGS, ".ply", *TEXT_ENDINGS)
+
+LAS = "a complete LAS or LAZ file"
+
+# Degrees per unit of the LAS 1.4 field ``scan_angle`` (LAS 1.4 R15, point formats 6-10).
+SCAN_ANGLE_STEP = 0.006
+
+# Columns that tell which records are no points of a surface (LAS 1.4 R15).
+MARKS = ("withheld", "classification", "synthetic", "overlap", "return_number", "number_of_returns")
+LONGEST_NAME = 32
+
+NOISE = (7, 18)
+OLD_OVERLAP = 12
+
+# Heights that stand for none.
+NO_DATA = (-9999.0, -99999.0, -999999.0, -32767.0, -32768.0)
+FARTHEST_M = 1e9
+
+# As many records at 0, 0, 0 are no points, and a single one where the others lie this far away.
+MOST_ZEROS = 10
+FAR_FROM_ZERO_M = 1000.0
+
+
+class Piece(NamedTuple):
+    """A part of a file: its points, columns, ``about`` the cloud, and how many points it has.
+
+    ``left`` are masks of points to leave out by the reason, ``said`` of points to mention.
+    """
+
+    points: np.ndarray
+    columns: dict
+    about: dict
+    total: int
+    left: Mapping = MappingProxyType({})
+    said: Mapping = MappingProxyType({})
+
+
+def read_cloud(path: str | os.PathLike, *, columns: Sequence[str] | None = None) -> Cloud:
+    """Read a cloud file whole.
+
+    Parameters
+    ----------
+    path : path
+        LAS 1.2-1.4, LAZ or COPC (``.las``, ``.laz``), PLY (``.ply``) or text (``.txt``, ``.csv``,
+        ``.xyz``). Columns of text stand between white space, commas or semicolons; a header names
+        x, y, z or easting, northing, height, in any order among others; without a header x, y, z
+        come first. ``#`` and ``//`` begin a comment.
+    columns : sequence of str, optional
+        The per-point columns to keep; all when not given.
+
+    Returns
+    -------
+    Cloud
+        Points in float64. Columns are kept as read, but for ``scan_angle``, which is in degrees.
+        Its ``resolution`` is the scale of a LAS header, or the step of single precision at the
+        largest coordinate of PLY; NaN else. Its ``crs`` is what a LAS header names.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is no cloud, is damaged or cut short, has no points, lacks a column, or is not in
+        metres.
+
+    Warns
+    -----
+    UserWarning
+        If points with non-finite coordinates were dropped; says how many.
+
+    Examples
+    --------
+    >>> from mmqa_lab import samples
+    >>> cloud = read_cloud(samples.path("road_patch"))
+    >>> len(cloud), "gps_time" in cloud
+    (28185, True)
+    """
+    cloud = Cloud.concatenate(iterate_cloud(path, columns=columns), name=Path(path).stem)
+    if not len(cloud):
+        raise ValueError(f"Invalid cloud {path}: no points. Must contain one or more.")
+    return cloud
+
+
+def iterate_cloud(
+    path: str | os.PathLike, *, columns: Sequence[str] | None = None, chunk: int = 1_000_000
+) -> Iterator[Cloud]:
+    """Yield a cloud file in pieces; LAS and LAZ in such of at most ``chunk`` points.
+
+    Parameters and errors are those of :func:`read_cloud`.
+
+    Examples
+    --------
+    >>> from mmqa_lab import samples
+    >>> [len(part) for part in iterate_cloud(samples.path("road_patch"), chunk=20_000)]
+    [20000, 8185]
+    """
+    path = check_file(path, "cloud")
+    ending = check_choice(path.suffix.lower(), f"cloud {path} with ending", CLOUD_ENDINGS)
+    whole = _ply_pieces if ending == ".ply" else _text_pieces
+    pieces = _las_pieces(path, chunk, columns) if ending in LAS_ENDINGS else whole(path)
+    read, dropped, counted, first = 0, Counter(), Counter(), True
+    for piece in pieces:
+        left, said = _marked(piece)
+        out = np.any([*left.values()], axis=0)
+        dropped.update({reason: int(mask.sum()) for reason, mask in left.items()})
+        counted.update({reason: int((mask & ~out).sum()) for reason, mask in said.items()})
+        read, attributes = read + len(out), piece.columns
+        if columns is not None:
+            check_columns(attributes, columns, f"cloud {path}")
+            attributes = {name: attributes[name] for name in columns}
+        kept = {name: values[~out] for name, values in attributes.items()}
+        cloud = Cloud(piece.points[~out], kept, path.stem, **piece.about)
+        if first:
+            share = len(out) / max(piece.total, len(out), 1)
+            _warn(path, unit_remarks(cloud, crs=cloud.crs, share=share))
+        first = False
+        yield cloud
+    for verb, found in (("Dropped", dropped), ("Counted", counted)):
+        _warn(
+            "",
+            [f"{verb} {n} of {read} points of {path} that {why}." for why, n in found.items() if n],
+        )
+
+
+def write_cloud(path: str | os.PathLike, cloud: Cloud | ArrayLike, *, scale: float = 0.001) -> None:
+    """Write a cloud as LAS or LAZ 1.4, whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+        Ends in ``.las`` or ``.laz``; an existing file is replaced.
+    cloud : Cloud or array_like, shape (n, 3)
+        Columns that LAS knows (``gps_time`` in seconds, ``intensity``, ``scan_angle`` in
+        degrees, ``classification``, ...) go to their fields, the others to extra dimensions. Its
+        ``crs`` goes to the header.
+    scale : float
+        Coordinates are rounded to this step, m.
+
+    Raises
+    ------
+    ValueError
+        If the ending is another, the cloud has no points or is too wide for the step, or a column
+        has a value that its field cannot hold.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> cloud = Cloud([[500_000.1234, 0, 0]], {"gps_time": np.array([1.5])})
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_cloud(Path(folder) / "one.laz", cloud)
+    ...     again = read_cloud(Path(folder) / "one.laz")
+    >>> again.points[0].round(6).tolist(), again["gps_time"].tolist()
+    ([500000.123, 0.0, 0.0], [1.5])
+    """
+    import laspy
+
+    check_choice(Path(path).suffix.lower(), "ending", LAS_ENDINGS)
+    cloud = cloud if isinstance(cloud, Cloud) else Cloud(cloud)
+    points = check_points(cloud.points)
+    if not np.ptp(points, axis=0).max() < scale * 2**31:
+        raise ValueError(f"Invalid scale {scale}. Must be coarser for a cloud as wide as this.")
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales, header.offsets = np.full(3, scale), np.floor(points.min(axis=0))
+    if cloud.crs is not None:
+        header.add_crs(cloud.crs)
+    fields = {one.name: one for one in header.point_format.dimensions}
+    columns = {name: _storable(name, cloud[name], fields.get(name)) for name in cloud.columns}
+    for name in columns.keys() - fields.keys():
+        header.add_extra_dim(laspy.ExtraBytesParams(name, columns[name].dtype))
+    las = laspy.LasData(header)
+    las.xyz = points
+    for name, values in columns.items():
+        las[name] = values
+    write_atomically(path, lambda temporary: las.write(str(temporary)))
+
+
+def _storable(name, values, field):
+    """The values of a column as LAS holds them; what it cannot hold gives one sentence."""
+    if values.ndim != 1 or values.dtype.kind not in "biuf":
+        raise ValueError(f"Invalid column {name!r}. Must be one number for each point.")
+    if name.lower() in ("x", "y", "z") or len(name.encode()) > LONGEST_NAME:
+        wanted = f"other than x, y, z and at most {LONGEST_NAME} letters long"
+        raise ValueError(f"Invalid column name {name!r}. Must be {wanted}.")
+    if field is None or field.name == "gps_time":
+        odd = values.dtype.kind == "f" and values.dtype.itemsize not in (4, 8)
+        return values.astype(
+            np.uint8 if values.dtype.kind == "b" else np.float64 if odd else values.dtype
+        )
+    angle = name == "scan_angle"
+    low, high = (-180, 180) if angle else (field.min, field.max)
+    numbers = values.astype(np.float64)
+    bad = ~((numbers >= low) & (numbers <= high)) | ((numbers % 1 != 0) & (not angle))
+    if bad.any():
+        row, kind = int(bad.argmax()), "degrees" if angle else "whole numbers"
+        wanted = f"{kind} from {low} to {high}"
+        raise ValueError(f"Invalid {name} {values[row]} in row {row + 1}. Must be {wanted}.")
+    return np.round(numbers / SCAN_ANGLE_STEP).astype(np.int16) if angle else values
+
+
+def _las_pieces(path, chunk, columns):
+    """The pieces of a LAS or LAZ file."""
+    import laspy
+
+    with reading(path, "cloud", LAS):
+        reader = laspy.open(path)
+    with reader:
+        header, read = reader.header, 0
+        _check_header(path, header)
+        about = {"resolution": float(max(header.scales)), "crs": las_system(header, path)}
+        names = [n for n in header.point_format.dimension_names if n not in ("X", "Y", "Z")]
+        if columns is not None:
+            check_columns(names, columns, f"cloud {path}")
+            names = [name for name in names if name in columns or name in MARKS]
+        low, high = header.mins - 2 * header.scales, header.maxs + 2 * header.scales
+        parts = reader.chunk_iterator(chunk)
+        while True:
+            with reading(path, "cloud", LAS):
+                part = next(parts, None)
+            if part is None:
+                break
+            read += len(part)
+            with reading(path, "cloud", LAS):
+                attributes = {name: np.array(part[name]) for name in names}
+                points = np.stack([part.x, part.y, part.z], axis=1)
+                raw = np.stack([part.X, part.Y, part.Z], axis=1)
+            if "scan_angle" in attributes:
+                attributes["scan_angle"] = attributes["scan_angle"] * SCAN_ANGLE_STEP
+            ends = np.iinfo(np.int32)
+            over = ((raw == ends.min) | (raw == ends.max)).any(axis=1)
+            outside = ((points < low) | (points > high)).any(axis=1)
+            left = {"hold the least or largest integer, an overflow of their 32 bits": over}
+            said = {"lie outside the box that its header states": outside}
+            yield Piece(points, attributes, about, header.point_count, left, said)
+    if read < header.point_count:
+        found = f"bytes for {read} points where the header says {header.point_count}"
+        raise ValueError(f"Invalid cloud {path}: {found}. Must be {LAS}.")
+
+
+def _check_header(path, header):
+    """Raise where a LAS header contradicts itself or its file."""
+    if not (np.isfinite(header.scales).all() and (header.scales > 0).all()):
+        found = f"scale {', '.join(f'{scale:g}' for scale in header.scales)} in its header"
+        raise ValueError(f"Invalid cloud {path}: {found}. Must be above 0.")
+    with open(path, "rb") as file:
+        (legacy,) = struct.unpack("<107xI", file.read(111))
+    size, end = Path(path).stat().st_size, getattr(header, "start_of_first_evlr", 0) or np.inf
+    held = (min(size, end) - header.offset_to_point_data) // header.point_format.size
+    more = not header.are_points_compressed and held > header.point_count
+    if more or (header.point_count == 0 and legacy > 0):
+        found = f"{int(held) if more else legacy} points where the header says {header.point_count}"
+        raise ValueError(f"Invalid cloud {path}: {found}. Must agree.")
+
+
+def _ply_pieces(path):
+    """A PLY file as one piece."""
+    points, attributes, step = read_ply(path)
+    yield Piece(points, attributes, {"resolution": step}, len(points))
+
+
+def _text_pieces(path):
+    """A text file as one piece."""
+    table = text_table(path, "cloud")
+    names = coordinate_columns(table.columns)
+    if len(names) < 3:
+        listed = ", ".join(map(str, table.columns))
+        raise ValueError(f"Invalid cloud {path} with columns {listed}. Must have x, y, z.")
+    points = with_numbers(table, names, f"cloud {path}", finite=False)[names].to_numpy()
+    rest = {name: table[name].to_numpy() for name in table.columns.drop(names)}
+    yield Piece(points, rest, {}, len(points))
+
+
+def _marked(piece):
+    """Masks of the points of a piece to leave out, and of those to mention, by the reason."""
+    points, none = piece.points, np.zeros(len(piece.points))
+    numbers = {name.lower(): v for name, v in piece.columns.items() if v.dtype.kind in "biuf"}
+    withheld, kind, synthetic, overlap, number, returns = (numbers.get(n, none) for n in MARKS)
+    left = {
+        **piece.left,
+        "are not finite": ~np.isfinite(points).all(axis=1),
+        "stand for no data": _no_data(points),
+        "are marked as withheld": withheld > 0,
+        "are of a noise class, 7 or 18": np.isin(kind, NOISE),
+    }
+    several = ((number == 1) & (returns > 1)).any()
+    said = {
+        **piece.said,
+        "are marked as synthetic": synthetic > 0,
+        "are marked as overlap": (overlap > 0)
+        | ((kind == OLD_OVERLAP) & ("overlap" not in numbers)),
+        "are later returns of their pulses": (number > 1) & several,
+    }
+    return left, said
+
+
+def _no_data(points):
+    """Mask of the rows that stand for no point: -9999 and the like, and 0, 0, 0 far from others."""
+    x, y, z = points.T
+    none = np.isin(z, NO_DATA) | ((x == y) & np.isin(x, NO_DATA))
+    none |= np.isfinite(points).all(axis=1) & (np.abs(points) > FARTHEST_M).any(axis=1)
+    zeros = (points == 0).all(axis=1)
+    if zeros.any() and not zeros.all():
+        middle = np.nanmedian(points[~zeros & ~none], axis=0)
+        spread = np.nanmedian(np.abs(points[~zeros & ~none] - middle), axis=0)
+        far = (np.abs(middle) > FAR_FROM_ZERO_M + 20 * spread).any()
+        none |= zeros & (far or zeros.sum() > MOST_ZEROS)
+    return none
+
+
+def _warn(path, remarks):
+    """Warn of each remark on a file."""
+    for remark in remarks:
+        warnings.warn(f"{path}: {remark}" if path else remark, stacklevel=4)

@@ -1,0 +1,389 @@
+"""Tables of text: clouds, paths, segments and lists, as programs and people write them."""
+
+from __future__ import annotations
+
+import os
+import re
+import warnings
+from collections.abc import Sequence
+from io import BytesIO
+
+import numpy as np
+import pandas as pd
+
+from mmqa_lab._checks import check_columns, check_file
+from mmqa_lab.cloud import unit_remarks
+from mmqa_lab.io.files import plain_text
+
+__all__ = [
+    "coordinate_columns",
+    "read_segments",
+    "read_table",
+    "read_trajectory",
+    "text_table",
+    "with_numbers",
+]
+
+# Columns of tables that are taken for coordinates, the first that are there.
+PLAN_NAMES = (("x", "y"), ("easting", "northing"), ("east", "north"), ("rechtswert", "hochwert"))
+HEIGHT_NAMES = ("z", "height", "elevation", "altitude", "up", "höhe", "hoehe")
+
+# Columns of a vehicle's path, and other names of them without blanks; the first that is there.
+PATH_COLUMNS = ["time_s", "easting_m", "northing_m", "height_m"]
+PATH_NAMES = {
+    "time_s": ("gpstime", "time", "t", "timestamp", "gpsseconds", "secondsofweek", "sow"),
+    "roll_deg": ("roll",),
+    "pitch_deg": ("pitch",),
+    "heading_deg": ("heading", "yaw"),
+}
+
+# Seconds and degrees in units that columns of a path name.
+PATH_UNITS = {"": 1.0, "s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+PATH_UNITS |= {"deg": 1.0, "degrees": 1.0, "°": 1.0, "gon": 0.9}
+PATH_UNITS |= dict.fromkeys(("rad", "radians"), 180 / np.pi)
+
+WEEK_S = 604_800.0
+
+PATH_HEADER = "time in seconds, easting, northing, height"
+PATH_ORDER = [*PATH_COLUMNS, *[*PATH_NAMES][1:]]
+
+SEGMENT_COLUMNS = ["x1", "y1", "z1", "x2", "y2", "z2"]
+UNNAMED_SIX = ["x", "y", "z", "column_4", "column_5", "column_6"]
+
+# Numbers as large as this are no heights.
+NO_HEIGHT_M = 9999.0
+
+# What C and Fortran write for no number, besides what pandas knows.
+NO_NUMBERS = ("nan(ind)", "-nan(ind)", "nan(snan)", "-nan(snan)")
+
+# Rows of a text that tell its separator, decimal sign and names.
+SAMPLE = 60
+
+
+def text_table(path: str | os.PathLike, name: str, *, header: str = "") -> pd.DataFrame:
+    """Read a text file as a table; columns without names are x, y, z, column_4, column_5, ...
+
+    Columns stand between white space, commas, semicolons or tabs. ``#``, ``//`` and ``%`` begin a
+    comment; the last one ahead of the rows may name x, y and z. A count in the first line (PTS) and
+    the line ``sep=;`` of Excel are passed over, exponents may be written with D. ``header`` lists
+    what a file must name.
+    """
+    what, raw = f"{name} {path}", _plain_rows(plain_text(check_file(path, name)))
+    comment, lines = "", []
+    for found in re.finditer(rb"[^\n]+", raw):
+        line, _, remark = found[0].decode(errors="replace").strip().partition("#")
+        if not line:
+            comment = comment if lines else remark
+        elif lines or not re.fullmatch(r'"?sep=."?', line):
+            lines.append((found.start(), line.strip()))
+        if len(lines) == SAMPLE:
+            break
+    if len(lines) > 1 and lines[0][1].isdigit() and not lines[1][1].isdigit():
+        del lines[0]  # the count of the points
+    if not lines:
+        raise ValueError(f"Invalid {what}: no rows. Must be rows of columns.")
+    words = [_words(line) for _, line in lines]
+    first, separator = lines[0][0], _separator(lines[-1][1])
+    names = comment_names = _words(comment.lstrip("/# "))
+    if not _is_data(words[0]):
+        names, first = words[0], (lines[1][0] if len(lines) > 1 else len(raw))
+    elif len(coordinate_columns(comment_names)) < 3:
+        names = None
+    if header and names is None:
+        raise ValueError(f"Invalid {what}: no header. Must have one with {header}.")
+    stream = BytesIO(raw)
+    stream.seek(first)
+    comma = separator != "," and "," in lines[-1][1]
+    layout = {"header": None, "comment": "#", "decimal": "," if comma else "."}
+    table = _read_csv(stream, what, before=raw.count(b"\n", 0, first), sep=separator, **layout)
+    if separator == "," and _has_split_numbers(words[-5:], names):
+        raise ValueError(f"Invalid {what}: decimal commas between commas. Must be told apart.")
+    return _with_names(table, names, what)
+
+
+def _plain_rows(raw):
+    """A text with # for every comment, numbers as they are written in C and nan for no number."""
+    if b"//" in raw:
+        raw = re.sub(rb"(?<!:)//", b"#", raw)  # an address has : before it
+    if raw[:1] in b"%!" or b"\n%" in raw or b"\n!" in raw:
+        raw = re.sub(rb"(?m)^[%!]", b"#", raw)
+    if b"1.#" in raw:
+        raw = re.sub(rb"-?1\.#[A-Z]+\d*", b"nan", raw)
+    if any(sign in raw for sign in (b"D+", b"D-", b"d+", b"d-")):
+        raw = re.sub(rb"(?<=[\d.])[dD](?=[+-]\d)", b"e", raw)
+    return raw
+
+
+def _read_csv(stream, what, *, before=0, **layout):
+    """A table as pandas reads it; what pandas cannot read gives one sentence."""
+    layout = {"skipinitialspace": True, "low_memory": False, "na_values": NO_NUMBERS} | layout
+    try:
+        return pd.read_csv(stream, encoding_errors="replace", **layout)
+    except pd.errors.EmptyDataError:
+        found = "no rows"
+    except pd.errors.ParserError as error:
+        told = re.search(r"Expected (\d+) fields in line (\d+), saw (\d+)", str(error))
+        found = "a quotation mark that does not end"
+        if told:
+            wanted, line, seen = map(int, told.groups())
+            found = f"{seen} columns in line {line + before} after {wanted} before"
+    raise ValueError(f"Invalid {what}: {found}. Must be rows of columns.")
+
+
+def _has_split_numbers(rows, names):
+    """Whether commas stand between columns and within numbers."""
+    if names is not None:
+        return all(len(row) == 2 * len(names) for row in rows)
+    ends = [word for row in rows for word in row[1::2]]
+    whole = all(re.fullmatch(r"-?\d+", word) for row in rows for word in row)
+    return whole and any(re.fullmatch(r"0\d+", word) for word in ends)
+
+
+def _with_names(table, names, what):
+    """A table of a text file with the names of its columns."""
+    names = names and "\0".join(names).rstrip("\0").split("\0")
+    count = len(names) if names else len(table.columns)
+    if len(table.columns) > count and table.iloc[:, count:].isna().all(axis=None):
+        table = table.iloc[:, :count]  # a separator behind each row
+    if len(table.columns) != count:
+        found = f"{count} names over {len(table.columns)} columns"
+        raise ValueError(f"Invalid {what}: {found}. Must agree.")
+    if names is None and len(table) > 2 and count > 2:
+        numbers = table.iloc[:, :3].apply(pd.to_numeric, errors="coerce")
+        words = (numbers.isna() & table.iloc[:, :3].notna()).all()
+        counted = count > 3 and (numbers[0].diff()[1:] == 1).all()
+        high = count > 3 and (numbers[2].abs() > NO_HEIGHT_M).mean() > 0.5
+        if counted or high or words.any():
+            found = "its first columns are not x, y, z"
+            raise ValueError(f"Invalid {what}: {found}. Must have a header that names them.")
+    names = names or [*"xyz", *(f"column_{k}" for k in range(4, count + 1))][:count]
+    twice = [name for k, name in enumerate(names) if name in names[:k]]
+    if twice:
+        raise ValueError(f"Invalid {what}: column {twice[0]!r} twice. Must be distinct names.")
+    return table.set_axis(names, axis=1)
+
+
+def _separator(line):
+    """The separator of the words of a line; a comma within a number is its decimal sign."""
+    for mark in (";", "\t", "|"):
+        if mark in line:
+            return mark
+    words = line.split()
+    inside = len(words) > 2 and all(word.strip(",") == word for word in words)
+    return "," if "," in line and not (inside and _is_data(words)) else r"\s+"
+
+
+def _words(line):
+    """The words of a line."""
+    mark = _separator(line)
+    return [word.strip(' "') for word in (line.split(mark) if len(mark) == 1 else line.split())]
+
+
+def _is_data(words):
+    """Whether a line has numbers rather than names: two words or more begin as numbers do."""
+    begun = [bool(re.match(r"[+-]?[.,]?\d", word)) for word in words]
+    return sum(begun) >= min(2, len(words)) or (len(words) > 0 and words[0].lower() == "nan")
+
+
+def coordinate_columns(names: Sequence[str]) -> list[str]:
+    """Return which of the columns of a table are x, y and z; fewer where it has not all.
+
+    Case, a unit in brackets or behind ``_`` and white space do not count: ``X``, ``x_m`` and
+    ``x [m]`` are x. ``easting``, ``northing`` and ``height`` and a few others are known too.
+
+    Examples
+    --------
+    >>> coordinate_columns(["id", "Easting", "Northing", "Height (m)"])
+    ['Easting', 'Northing', 'Height (m)']
+    >>> coordinate_columns(["x_m", "y_m"]), coordinate_columns(["a", "b", "c"])
+    (['x_m', 'y_m'], [])
+    """
+    plain = {_plain_name(name): name for name in reversed(names)}
+    plan = next((pair for pair in PLAN_NAMES if all(name in plain for name in pair)), ())
+    height = next((name for name in HEIGHT_NAMES if plan and name in plain), None)
+    return [plain[name] for name in (*plan, height) if name is not None]
+
+
+def _plain_name(name):
+    """A column's name without case and unit."""
+    return re.sub(r"(_m|[\[(]m[\])])$", "", str(name).lower().strip()).strip()
+
+
+def _plain_name(name):
+    """A column's name without case and metres."""
+    return re.sub(r"(_m|[\[(]m[\])])$", "", str(name).lower().strip()).strip()
+
+
+def read_table(path: str | os.PathLike, name: str, columns: Sequence[str] = ()) -> pd.DataFrame:
+    """Return a CSV file as a table, or raise a sentence where it is none or a column is missing.
+
+    Semicolons or tabs between columns are read too, then with decimal commas where there are some;
+    rows without any entry are passed over.
+    """
+    what, raw = f"{name} {path}", plain_text(check_file(path, name))
+    raw = re.sub(rb'\A"?sep=."?\n', b"", raw)
+    head, _, rows = raw.partition(b"\n")
+    separator = max(b",;\t", key=head.count)
+    marks = {"sep": chr(separator)}
+    if marks["sep"] != "," and re.search(rb"\d,\d", rows):
+        marks["decimal"] = ","
+    table = _read_csv(BytesIO(raw), what, **marks).dropna(how="all", ignore_index=True)
+    check_columns(table, columns, what)
+    return table
+
+
+def with_numbers(
+    table: pd.DataFrame,
+    columns: Sequence[str],
+    name: str,
+    *,
+    finite: bool = True,
+    wanted: str = "numbers",
+) -> pd.DataFrame:
+    """Return a table with numbers in these columns; a sentence names the first bad entry."""
+    check_columns(table, columns, name)
+    found = table[list(columns)].apply(pd.to_numeric, errors="coerce").astype(float)
+    bad = ~np.isfinite(found) if finite else found.isna() & table[list(columns)].notna()
+    if bad.any(axis=None):
+        row = int(bad.any(axis=1).to_numpy().argmax())
+        column = bad.columns[bad.iloc[row].to_numpy().argmax()]
+        entry = table[column].iloc[row]
+        told = "nothing" if pd.isna(entry) else repr(str(entry)[:30])
+        grouped = re.fullmatch(r"[+-]?\d{1,3}([.,' ]\d{3})+([.,]\d+)?", str(entry))
+        wanted += " without thousands separators" if grouped else ""
+        found = f"no finite number in row {row + 1} of column {column}, {told}"
+        raise ValueError(f"Invalid {name}: {found}. Must be {wanted}.")
+    return table.assign(**found)
+
+
+def read_trajectory(path: str | os.PathLike) -> pd.DataFrame:
+    """Read a vehicle's path from a CSV file with a header.
+
+    Parameters
+    ----------
+    path : path
+        Needs time in seconds, easting, northing and height in metres under any usual name; roll,
+        pitch and heading in degrees are read when present.
+
+    Returns
+    -------
+    DataFrame
+        ``time_s``, ``easting_m``, ``northing_m``, ``height_m`` and, where present,
+        ``roll_deg``, ``pitch_deg``, ``heading_deg``; in the order of time.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If a needed column is missing, a value is no finite number or a time repeats.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = (Path(folder) / "path.csv").write_text("time,x,y,z,heading\\n0.5,0,0,2,90\\n")
+    ...     path = read_trajectory(Path(folder) / "path.csv")
+    >>> path[["time_s", "height_m", "heading_deg"]].to_numpy().tolist()
+    [[0.5, 2.0, 90.0]]
+    """
+    what, raw = f"trajectory {path}", text_table(path, "trajectory", header=PATH_HEADER)
+    used = coordinate_columns(raw.columns)
+    table = raw[used].set_axis(PATH_COLUMNS[1 : 1 + len(used)], axis=1)
+    plain = {_name_and_unit(column): column for column in reversed(raw.columns)}
+    for name, spellings in PATH_NAMES.items():
+        for key in [key for one in spellings for key in plain if key[0] == one][:1]:
+            if key[1] not in PATH_UNITS:
+                raise ValueError(f"Invalid {what}: column {plain[key]!r}. Must be in s or degrees.")
+            used = [*used, plain[key]]
+            unit = "seconds" if name == "time_s" else "degrees"
+            numbers = with_numbers(raw, used[-1:], what, wanted=unit)[plain[key]]
+            table[name] = numbers * PATH_UNITS[key[1]]
+    if not {*PATH_COLUMNS} <= {*table}:
+        found = f"columns {', '.join(map(str, raw.columns))}"
+        raise ValueError(f"Invalid {what} with {found}. Must have {PATH_HEADER}.")
+    table = with_numbers(table, table.columns, what)
+    unread = ", ".join(map(str, raw.columns.drop(used)))
+    absent = [name.partition("_")[0] for name in [*PATH_NAMES][1:] if name not in table]
+    if unread and absent:
+        warnings.warn(f"No {', '.join(absent)} in {what}: not read are {unread}.", stacklevel=2)
+    _check_heading(table, what)
+    wrapped = (table["time_s"].diff() < -WEEK_S / 2).any()
+    table = table.sort_values("time_s", ignore_index=True)
+    if (table["time_s"].diff() <= 0).any():
+        raise ValueError(f"Invalid {what}: a time repeats. Must be distinct times.")
+    if wrapped and "heading_deg" not in table:
+        raise ValueError(f"Invalid {what}: the GPS week ends within it. Must have a heading then.")
+    if wrapped:
+        warnings.warn(f"The GPS week ends within {what}: its times are in two parts.", stacklevel=2)
+    return table[[name for name in PATH_ORDER if name in table]]
+
+
+def _check_heading(table, what):
+    """Raise where headings agree with the movement only if they are taken for radians."""
+    if "heading_deg" not in table or table["heading_deg"].abs().max() > 2 * np.pi:
+        return
+    east, north = (table[name].diff()[1:] for name in PATH_COLUMNS[1:3])
+    heading, course = table["heading_deg"][1:], np.degrees(np.arctan2(east, north))
+    in_degrees, in_radians = (
+        (((taken - course + 180) % 360 - 180).abs()).median()
+        for taken in (heading, np.degrees(heading))
+    )
+    if in_radians < 15 < 45 < in_degrees:
+        raise ValueError(f"Invalid {what}: headings look like radians. Must be in degrees.")
+
+
+def _name_and_unit(name):
+    """A column's name in small letters and digits, and the unit behind it."""
+    units = "|".join(filter(None, PATH_UNITS))
+    found = re.fullmatch(rf"(.*?)(?:\s*[\[(](.*)[\])]|_({units}))?", str(name).lower().strip())
+    return re.sub(r"[\W_]+", "", found[1]), found[2] or found[3] or ""
+
+
+def read_segments(path: str | os.PathLike) -> np.ndarray:
+    """Read line segments from a CSV or text file.
+
+    Parameters
+    ----------
+    path : path
+        A segment in a line: x1, y1, z1, x2, y2, z2 in metres, between commas, semicolons or white
+        space. A header is optional; these names may stand in any order among others.
+
+    Returns
+    -------
+    array, shape (n, 2, 3)
+        Both ends of each.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If a line lacks six finite numbers; names it.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> file = Path(tempfile.mkdtemp()) / "edges.csv"
+    >>> _ = file.write_text("x1,y1,z1,x2,y2,z2\\n0,0,0,0,0,12\\n0,0,12,9,0,12\\n")
+    >>> read_segments(file)[1].tolist()
+    [[0.0, 0.0, 12.0], [9.0, 0.0, 12.0]]
+    """
+    what, table = f"segments {path}", text_table(path, "segments")
+    table = table.rename(columns={name: _plain_name(name) for name in table})
+    if [*table.columns] == UNNAMED_SIX:
+        table = with_numbers(table.set_axis(SEGMENT_COLUMNS, axis=1), SEGMENT_COLUMNS, what)
+        first, last = np.split(table.to_numpy(), 2, axis=1)
+        colours = (last == np.round(last)).all() and (last >= 0).all() and last.max() <= 65_535
+        units = np.abs(np.linalg.norm(last, axis=1) - 1).max() < 1e-2
+        if len(table) > 2 and (units or (colours and (first != np.round(first)).any())):
+            found = "six columns that look like points with colours or normals"
+            raise ValueError(f"Invalid {what}: {found}. Must have a header x1, y1, z1, x2, y2, z2.")
+    numbers = with_numbers(table, SEGMENT_COLUMNS, what)
+    ends = numbers[SEGMENT_COLUMNS].to_numpy().reshape(-1, 2, 3)
+    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    for remark in unit_remarks(ends.reshape(-1, 3), lengths=lengths):
+        warnings.warn(f"{path}: {remark}", stacklevel=2)
+    return ends
