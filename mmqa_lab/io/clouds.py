@@ -41,7 +41,7 @@ OLD_OVERLAP = 12
 
 # Heights that stand for none.
 NO_DATA = (-9999.0, -99999.0, -999999.0, -32767.0, -32768.0)
-FARTHEST_M = 1e9
+FARTHEST_M = 1e15
 
 # As many records at 0, 0, 0 are no points, and a single one where the others lie this far away.
 MOST_ZEROS = 10
