@@ -31,7 +31,18 @@ PROBES = {
 
 def main(arguments=None):
     """Run the command line and return its exit status."""
-    arguments = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
+    try:
+        return _run(list(sys.argv[1:] if arguments is None else arguments) or ["--help"])
+    except KeyboardInterrupt:
+        print("mmqa: interrupted; the next call goes on from here.", file=sys.stderr)
+        return 130
+    except BrokenPipeError:  # as in: python3 -m mmqa_lab --help | head -1
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+def _run(arguments):
+    """Run a command in this interpreter, or in the environment that it needs."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small: threads would wait
     wanted = TOOLS if arguments[0] == "test" else ENVIRONMENT
     if prepared(wanted):
@@ -39,7 +50,9 @@ def main(arguments=None):
 
         return commands.run(arguments)
     if "--help" in arguments:
-        print(__doc__)
+        later = "comes with the environment. Type python3 -m mmqa_lab --version once to make it."
+        whole = arguments[0].startswith("-")
+        print(__doc__ if whole else f"The manual of {arguments[0]} {later}", flush=True)
         return 0
     command = [prepare(wanted), "-m", "mmqa_lab", *arguments]
     if os.name != "nt":  # replaces this process, so signals reach the command

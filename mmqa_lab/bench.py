@@ -207,7 +207,7 @@ def _measured(study, number, seed):
         try:
             made = study.make(**case, seed=seed)
         except study.costs_cells as error:
-            failed = {"failure": _reason(error)}
+            failed = {"failure": _reason(error, study.make)}
             return {"": {}} | dict.fromkeys(study.methods, failed)
         data, truth = made if type(made) is tuple and len(made) == 2 else (made, None)
         records = {"": _truths(truth)}
@@ -222,7 +222,7 @@ def _record(study, method, data, truth, reserved):
         result = method(copy.deepcopy(data))  # a method may change its copy
         result = result if study.score is None else study.score(result, truth)
     except study.costs_cells as error:
-        return {"failure": _reason(error)}
+        return {"failure": _reason(error, method)}
     named = result if isinstance(result, Mapping) else {"value": result}
     figures, wrong = {}, [] if named else ["the dict is empty"]
     for name, value in named.items():
@@ -231,8 +231,8 @@ def _record(study, method, data, truth, reserved):
             continue
         figures[str(name)], reason = _number(value)
         wrong += [f"{name} {reason}"] if reason else []
-    failure = f"{'; '.join(wrong)}. Must be finite numbers." if wrong else ""
-    return figures | {"failure": failure[:LONGEST_REASON]}
+    failure = f"{'; '.join(wrong)}. Must be finite numbers"[:LONGEST_REASON] + _place(method) + "."
+    return figures | {"failure": failure if wrong else ""}
 
 
 def _number(value):
@@ -254,15 +254,21 @@ def _truths(truth):
     return figures
 
 
-def _reason(error):
+def _place(method):
+    """Where a function is defined, in brackets; empty where Python does not know."""
+    code = getattr(method, "__code__", None)
+    return f" (line {code.co_firstlineno} of {code.co_name})" if code else ""
+
+
+def _reason(error, method):
     """The sentence on a cell that raised, with the line of the user's function."""
     frames = traceback.extract_tb(error.__traceback__)[1:]
     own = [frame for frame in frames if frame.filename == frames[0].filename]
-    line = ""
+    place = _place(method)  # of a call with other arguments than it has
     if own and not Path(own[-1].filename).is_relative_to(Path(__file__).parent):
-        line = f" (line {own[-1].lineno} of {own[-1].name})"
+        place = f" (line {own[-1].lineno} of {own[-1].name})"
     sentence = " ".join(f"{type(error).__name__}: {error}".split())
-    return sentence[:LONGEST_REASON] + line
+    return sentence[:LONGEST_REASON] + place
 
 
 def _computed(study, jobs, executor):

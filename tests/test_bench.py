@@ -125,17 +125,29 @@ def leaves(x):
     raise SystemExit(3)
 
 
+MUST = "Must be finite numbers (line N of <lambda>)."
 BAD = {
     "raises": (raises, "RuntimeError: no signal (line N of raises)"),
     "leaves": (leaves, "SystemExit: 3 (line N of leaves)"),
-    "nan": (lambda x: math.nan, "value is nan. Must be finite numbers."),
-    "text": (lambda x: "3", "value is of type str. Must be finite numbers."),
-    "array": (lambda x: np.ones((2, 1)), "value is of type ndarray. Must be finite numbers."),
-    "ragged": (lambda x: [[1], [1, 2]], "value is of type list. Must be finite numbers."),
-    "empty": (lambda x: {}, "the dict is empty. Must be finite numbers."),
+    "two": (
+        lambda x, y: x,
+        "TypeError: <lambda>() missing 1 required positional argument: 'y' (line N of <lambda>)",
+    ),
+    "nan": (lambda x: math.nan, f"value is nan. {MUST}"),
+    "text": (lambda x: "3", f"value is of type str. {MUST}"),
+    "array": (
+        lambda x: np.ones((2, 1)),
+        "value is of type ndarray. Must be finite numbers (line N of <lambda>).",
+    ),
+    "ragged": (
+        lambda x: [[1], [1, 2]],
+        "value is of type list. Must be finite numbers (line N of <lambda>).",
+    ),
+    "empty": (lambda x: {}, f"the dict is empty. {MUST}"),
     "taken": (
         lambda x: {"count": 3},
-        "count is a name that the results need for something else. Must be finite numbers.",
+        "count is a name that the results need for something else. Must be finite numbers "
+        "(line N of <lambda>).",
     ),
 }
 
@@ -306,6 +318,9 @@ def std(x):
 
 def upset(x):
     raise ValueError("no signal")
+
+def words(x):
+    return "3"
 """
 
 
@@ -340,12 +355,15 @@ def test_command_ranks_ones_own_method_and_names_its_files(call, tmp_path):
 
 
 def test_command_says_what_failed_and_goes_on_or_raises(call):
-    status, _, err = call("--method researcher:upset --quick")
+    status, out, err = call("--method researcher:upset --quick")
     assert status == 0
     assert err.startswith("mmqa bench: upset: 18 of 18 cells not measured; the first: ValueError: ")
     assert err.endswith("no signal (line 11 of upset)\n")
+    assert "upset: ValueError: no signal (line 11 of upset)" in " ".join(out.split())
     with pytest.raises(ValueError, match="no signal"):
         call("--method researcher:upset --raise")
+    _, out, _ = call("--method researcher:words --quick")
+    assert "words: value is of type str. Must be finite numbers (line 13 of words)." in out
 
 
 @pytest.mark.parametrize(

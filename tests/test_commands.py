@@ -128,6 +128,23 @@ def test_what_is_empty_or_wide_fits_the_terminal():
     assert machine.as_text(wide[:0]).splitlines()[-1] == "none"
 
 
+def test_lab_asks_the_notebook_server_before_it_ends(monkeypatch):
+    class Server:
+        """Goes on after the first Ctrl-C, as Jupyter does until it has an answer."""
+
+        def __init__(self, command, **_):
+            self.ends = iter((KeyboardInterrupt, 0))
+
+        def wait(self):
+            end = next(self.ends)
+            if end:
+                raise end
+            return end
+
+    monkeypatch.setattr(commands.laboratory.subprocess, "Popen", Server)
+    assert commands.laboratory.lab() == 0
+
+
 def test_help_and_preparing_need_the_standard_library_alone(tmp_path):
     venv.create(tmp_path / "bare", with_pip=False)
     python = tmp_path / "bare" / ("Scripts" if sys.platform == "win32" else "bin") / "python"
@@ -140,5 +157,8 @@ def test_help_and_preparing_need_the_standard_library_alone(tmp_path):
         done = subprocess.run([python, "-c", code], cwd=root, capture_output=True, text=True)
         assert done.stdout == "environment.txt\n"
         assert "ZeroDivisionError" in done.stderr
+    asked = [python, "-m", "mmqa_lab", "evaluate", "--help"]
+    shown = subprocess.run(asked, cwd=root, capture_output=True, text=True)
+    assert shown.stdout.startswith("The manual of evaluate comes with the environment.")
     shown = subprocess.run([python, "-m", "mmqa_lab", "--help"], cwd=root, capture_output=True)
     assert b"mmqa COMMAND" in shown.stdout

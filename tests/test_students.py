@@ -4,6 +4,7 @@ import re
 from types import SimpleNamespace
 
 import nbformat
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -139,6 +140,38 @@ def test_checks_can_be_kept_apart_and_students_set_their_number(squares, tmp_pat
     assert "set it in the next cell" in text
     (path,) = write_student_notebooks([squares], tmp_path / "checks")
     assert "check_answer" in path.read_text()
+
+
+def test_a_given_cell_waits_for_the_students_number(squares, tmp_path):
+    notebook = nbformat.read(squares.path, as_version=4)
+    notebook.cells.insert(4, nbformat.v4.new_code_cell("drawn = [\n    number\n]\nother = 1"))
+    nbformat.write(notebook, squares.path)
+    (path,) = write_student_notebooks([squares], tmp_path / "class")
+    code = [cell.source for cell in nbformat.read(path, as_version=4).cells[:5]]
+    scope = {}
+    for text in (code[1], code[3], code[4]):
+        exec(text, scope)
+    assert "drawn" not in scope
+    exec(code[4], scope | {"number": 3})
+
+
+def test_answers_by_number_need_only_the_statements_that_lead_to_them():
+    cells = [
+        "import math, random\nslow = missing",
+        "rng = __import__('numpy').random.default_rng(1)\nfirst = rng.normal()",
+        "table = {}\nfor k in range(3):\n    table[k] = k\nextra = table[0]",
+        "count = 0\nfor _ in 'ab':\n    count += 1\nrun.save(count)",
+        "def area(side):\n    return table[side] * math.pi",
+    ]
+    kept = "\n".join(students.needed_statements(cells, {"area", "count", "rng"}))
+    scope = {}
+    exec(kept, scope)
+    assert scope["area"](2) == 2 * np.pi
+    assert scope["count"] == 2
+    again = np.random.default_rng(1)
+    again.normal()
+    assert scope["rng"].normal() == again.normal()
+    assert not {"slow", "extra"} & set(scope)
 
 
 def test_words_of_the_glossary_are_the_notebooks_own():

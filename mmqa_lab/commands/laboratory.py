@@ -9,7 +9,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from mmqa_lab.commands.machine import FIGURE_ENDINGS, app, table, write_figure
+from mmqa_lab.commands.machine import FIGURE_ENDINGS, app, progress, table, write_figure
 
 
 @table
@@ -77,7 +77,11 @@ def bench(
         if comparison.tables and list(answer)[2:4] == ["low", "high"]:
             drawn = {answer.columns[1]: answer}
         _write_bench(out, tables | kept, lambda: bench.plot_tables(drawn, own=own))
-    return answer
+    failed = bench.failures(results).query("method in @own").drop_duplicates("method")
+    if failed.empty:
+        return answer
+    remarks = dict(zip(failed["method"], failed["method"] + ": " + failed["reason"], strict=True))
+    return answer.assign(remarks=answer["method"].map(remarks).fillna(""))
 
 
 def _named_function(text):
@@ -167,17 +171,30 @@ def _fitting_workers():
 
 def _run_studies(run_study, studies, folder, quick, workers):
     """Run each study in a process of its own; yield it with its record when it ends."""
-    from concurrent.futures import ProcessPoolExecutor, as_completed
-    from multiprocessing import get_context
+    from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+    from multiprocessing import active_children, get_context
 
     workers = min(workers or _fitting_workers(), len(studies))
     os.environ.setdefault("NUMBA_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // workers)))
-    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+    apart = getattr(os, "setpgrp", None)  # Ctrl-C is for this process alone
+    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=apart)
     try:
         tasks = {pool.submit(run_study, study, folder, quick=quick): study for study in studies}
-        for task in as_completed(tasks):
-            yield tasks[task], task.result()
-    finally:  # after an interruption no other study begins
+        bar, waiting = progress(range(len(tasks)), "study"), set(tasks)
+        while waiting:
+            names = [tasks[task].notebook for task in tasks if task.running()]
+            bar.set_postfix_str(", ".join(names[:workers]))
+            done, waiting = wait(waiting, timeout=1, return_when=FIRST_COMPLETED)
+            bar.update(len(done))
+            for task in done:
+                bar.clear()
+                yield tasks[task], task.result()
+        bar.close()
+    except KeyboardInterrupt:  # a kernel ends with its worker
+        for child in active_children():
+            child.kill()
+        raise
+    finally:
         pool.shutdown(cancel_futures=True)
 
 
@@ -233,7 +250,12 @@ def lab(*options: Annotated[str, Parameter(allow_leading_hyphen=True)]):
     command = [sys.executable, "-m", "jupyterlab", "--LabApp.news_url=None", *options]
     config = [str(TEMPLATES), os.environ.get("JUPYTER_CONFIG_PATH", "")]  # asks nobody about news
     environment = os.environ | {"JUPYTER_CONFIG_PATH": os.pathsep.join(filter(None, config))}
-    return subprocess.call(command, cwd=notebooks_folder(), env=environment)
+    child = subprocess.Popen(command, cwd=notebooks_folder(), env=environment)
+    while True:
+        try:
+            return child.wait()
+        except KeyboardInterrupt:  # Jupyter has it too, and asks whether to stop
+            continue
 
 
 TEST_CORES = ("-n=logical", "--maxprocesses=4")

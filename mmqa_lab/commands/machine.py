@@ -45,6 +45,7 @@ app = App(
     version=__version__,
     help_format="markdown",
     default_parameter=Parameter(negative=()),
+    suppress_keyboard_interrupt=False,
 )
 
 SHARED = {

@@ -1,6 +1,7 @@
 """Run notebooks without a screen, each in its own kernel."""
 
 import os
+import subprocess
 import time
 from pathlib import Path
 
@@ -77,7 +78,8 @@ def execute(notebook, folder, *, results):
         resources={"metadata": {"path": str(folder)}},
     )
     try:
-        client.execute(env={**os.environ, **ENVIRONMENT, "MMQA_RESULTS": str(results)})
+        env = {**os.environ, **ENVIRONMENT, "MMQA_RESULTS": str(results)}
+        client.execute(env=env, stderr=subprocess.DEVNULL)  # a kernel that is ended complains
     except CellExecutionError as error:
         return f"{error.ename}: {error.evalue}".splitlines()[0]
     except DeadKernelError as error:  # also if the run is interrupted

@@ -13,16 +13,20 @@ import base64
 import contextlib
 import json
 import numbers
+import os
 import re
 import tempfile
 import textwrap
 import zlib
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import nbformat
 import numpy as np
 import pandas as pd
+from IPython.core.inputtransformer2 import TransformerManager
 from nbconvert.preprocessors import ClearOutputPreprocessor
+from tqdm.auto import tqdm
 
 from mmqa_lab.bench import split_unit
 from mmqa_lab.io import write_atomically
@@ -151,8 +155,19 @@ def _student_notebook(notebook, checks):
         if "solution" in _tags(cell):
             copy.cells += _exercise(cell.source)[: 2 if checks else 1]
         elif "lesson" not in _tags(cell):
+            cell.source = _waiting(cell)
             copy.cells.append(cell)
     return copy
+
+
+def _waiting(cell):
+    """The source of a cell; what it makes of the student's number waits until that is set."""
+    if cell.cell_type != "code" or NUMBER in _tags(cell):
+        return cell.source
+    code = TransformerManager().transform_cell(cell.source)
+    if NUMBER not in _names(code, ast.Load):
+        return cell.source
+    return f"if {NUMBER} is not ...:\n" + textwrap.indent(cell.source, "    ")
 
 
 def write_student_notebooks(studies, folder, *, quick=False, checks=True):
@@ -213,8 +228,12 @@ def write_solutions(studies, folder, *, quick=False):
     -------
     list of Path
     """
+    bar = {"total": len(studies), "unit": "study", "leave": False, "disable": None}
+    with ThreadPoolExecutor(os.cpu_count()) as pool:  # each notebook is a process
+        found = pool.map(lambda study: answer_table(study, quick=quick), studies)
+        tables = list(tqdm(found, **bar))
     written = []
-    for study in studies:
+    for study, answers in zip(studies, tables, strict=True):
         notebook = nbformat.read(study.path, as_version=4)
         shown, task = [notebook.cells[0]], []
         for cell in notebook.cells:
@@ -223,7 +242,7 @@ def write_solutions(studies, folder, *, quick=False):
             elif "solution" in _tags(cell):
                 shown += [*task, nbformat.v4.new_code_cell(_parts(cell.source)[1])]
                 task = []
-        table = answer_table(study, quick=quick).to_html(index=False, na_rep="")
+        table = answers.to_html(index=False, na_rep="")
         shown.append(nbformat.v4.new_markdown_cell(f"## Answers by number\n\n{table}"))
         shown += [cell for cell in notebook.cells if "lesson" in _tags(cell)]
         notebook.cells = shown
@@ -235,7 +254,7 @@ def write_solutions(studies, folder, *, quick=False):
 def answer_table(study, *, quick=False):
     """Return the numeric answers for each number of the class.
 
-    The notebook is run without the solutions, then each solution is run with each number.
+    The statements that the solutions need are run, then each solution is run with each number.
 
     Parameters
     ----------
@@ -259,15 +278,69 @@ def answer_table(study, *, quick=False):
     parts = [_parts(cell.source) for cell in notebook.cells if "solution" in _tags(cell)]
     parts = [part for part in parts if NUMBER in _names(part[1], ast.Load)]
     tasks = {number: (work, answers) for number, work, answers, _ in parts}
+    given = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    given = [cell.source for cell in given if "solution" not in _tags(cell)]
+    given = needed_statements(given, {name for part in parts for name in _names(part[1], ast.Load)})
     call = f"from mmqa_lab.run.students import work_out\nprint(work_out({tasks!r}, globals()))"
-    tail = nbformat.v4.new_code_cell(call)
-    notebook.cells = [cell for cell in notebook.cells if "solution" not in _tags(cell)] + [tail]
+    notebook.cells = [nbformat.v4.new_code_cell(text) for text in (*given, call)]
+    tail = notebook.cells[-1]
     with tempfile.TemporaryDirectory() as folder:
         failure = execute(notebook, study.path.parent, results=folder)
     if failure:
         raise RuntimeError(f"{study.notebook}: {failure}")
     table = pd.DataFrame(json.loads(tail.outputs[-1]["text"]))
     return table.dropna(axis=1, thresh=2)
+
+
+def needed_statements(cells, names):
+    """Return the statements of a notebook's cells that names need, in their order.
+
+    A statement is needed if it sets a needed name, changes what the name stands for, or draws from
+    a needed random generator. What it reads is needed, too.
+
+    Parameters
+    ----------
+    cells : list of str
+        Code of the cells.
+    names : set of str
+
+    Returns
+    -------
+    list of str
+
+    Examples
+    --------
+    >>> needed_statements(["a = 1; b = 2", "a.real; plot(a)", "c = a + 1\\nc.sort()"], {"c"})
+    ['a = 1', 'c = a + 1', 'c.sort()']
+    """
+    bodies = [ast.parse(TransformerManager().transform_cell(text)).body for text in cells]
+    rows = [(node, ast.unparse(node), *_names_of(node)) for body in bodies for node in body]
+    drawn = {name for _, text, _, done in rows if "default_rng" in text for name in done}
+    wanted, before = set(names), -1
+    while len(wanted) > before:
+        before = len(wanted)
+        kept = [
+            isinstance(node, ast.Import | ast.ImportFrom)
+            or (bool(wanted & (done | (named & drawn))) and not text.startswith("run."))
+            for node, text, named, done in rows
+        ]
+        wanted |= {name for row, take in zip(rows, kept, strict=True) if take for name in row[2]}
+    return [row[1] for row, take in zip(rows, kept, strict=True) if take]
+
+
+def _names_of(node):
+    """The names in a statement, and those that it sets or whose objects it changes."""
+    parts = list(ast.walk(node))
+    names = [part for part in parts if isinstance(part, ast.Name)]
+    done = {part.id for part in names if isinstance(part.ctx, ast.Store)}
+    done |= {part.name for part in parts if isinstance(part, ast.FunctionDef | ast.ClassDef)}
+    places = [part for part in parts if isinstance(getattr(part, "ctx", None), ast.Store)]
+    calls = [part.value for part in parts if isinstance(part, ast.Expr)]
+    for place in places + [call.func for call in calls if isinstance(call, ast.Call)]:
+        while isinstance(place, ast.Attribute | ast.Subscript):
+            place = place.value
+            done |= {place.id} if isinstance(place, ast.Name) else set()
+    return {part.id for part in names}, done
 
 
 def work_out(tasks, scope):
