@@ -9,7 +9,8 @@ Each room is a module named by a noun of the field. Import the room that you nee
 - ``cloud``: the container of points and their named columns
 - ``published``: what the five sources print, as data; the ledger of verdicts
 - ``stats``: recall, precision, RMSE, NMAD; confidence intervals, bootstrap
-- ``planes``: planes, lines and circles fitted to points; sigma_MAD; the planes of a whole cloud
+- ``planes``: planes, lines and circles fitted to points; sigma_MAD
+- ``plane_search``: the planes of a whole cloud
 - ``spacing``: quadrant distances d1..d4, f; spacing by direction, g
 - ``io``: files: LAS, LAZ, COPC, PLY, text, polygons, trajectories, segments, heights, images
 - ``scan_pattern``: profile scanners: spacing, angle and density, predicted (MIMIC) and measured

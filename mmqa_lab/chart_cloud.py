@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from mmqa_lab import stats
 from mmqa_lab._checks import check_choice, check_number, check_points, check_polygon, check_positive
 from mmqa_lab._results import Shown
-from mmqa_lab.planes import CONSISTENT_SCALE, Plane, fit_plane, sigma_mad, turned_axes
+from mmqa_lab.planes import CONSISTENT_SCALE, Plane, fit_plane, sigma_mad
 from mmqa_lab.spacing import (
     FEWEST,
     DirectionalSpacing,
@@ -525,7 +525,8 @@ def chart_polygon(
 def _directions(plane, axes):
     """The axes of the quadrants, shape (2, 3)."""
     if not isinstance(axes, str):
-        return turned_axes(plane.axes, check_number(axes, "axes", unit="degrees"))
+        turn = np.radians(check_number(axes, "axes", unit="degrees"))
+        return np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]) @ plane.axes
     check_choice(axes, "axes", ("principal", "horizontal"))
     return plane.axes if axes == "principal" else plane.horizontal_axes()
 

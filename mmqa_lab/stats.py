@@ -17,7 +17,7 @@ from scipy.special import stdtrit
 from mmqa_lab._checks import check_count
 from mmqa_lab._results import Shown
 
-NMAD_SCALE = 1.4826022185056018
+CONSISTENT_SCALE = 1.482602218505602
 """1 / Phi^-1(3/4): the standard deviation of normal errors over their median absolute deviation."""
 
 
@@ -166,7 +166,7 @@ def errors(values: ArrayLike) -> Errors:
         std=float(known.std(ddof=1)),
         rmse=float(np.sqrt((known**2).mean())),
         median=float(known.median()),
-        nmad=float(NMAD_SCALE * (known - known.median()).abs().median()),
+        nmad=float(CONSISTENT_SCALE * (known - known.median()).abs().median()),
     )
 
 

@@ -33,7 +33,8 @@ from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.chart_image.rules import MARKS, check_marks
 from mmqa_lab.charts import encode
 from mmqa_lab.io import write_atomically
-from mmqa_lab.planes import detect_planes, fit_plane
+from mmqa_lab.plane_search import detect_planes
+from mmqa_lab.planes import fit_plane
 from mmqa_lab.spacing import quadrant_distances
 from mmqa_lab.views import is_headless
 
@@ -314,7 +315,7 @@ class SurfaceTool(SelectionTool):
     clouds : dict of str to Cloud or array_like, shape (n, 3)
         Points by name of the cloud, m.
     tolerance, size : float
-        See :func:`mmqa_lab.planes.detect_planes`, m.
+        See :func:`mmqa_lab.plane_search.detect_planes`, m.
     **choices
         See :class:`SelectionTool`.
 
@@ -322,7 +323,7 @@ class SurfaceTool(SelectionTool):
     ----------
     name : str
         Name of the chosen cloud.
-    patch : Patch
+    patch : PlanePart
         The chosen plane.
     planes : DataFrame
         ``cloud``, ``plane``, ``points``, ``area_m2``, ``slope_deg``, ``std_mm``, ``easting_m``,

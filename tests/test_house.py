@@ -20,7 +20,7 @@ PACKAGE = ROOT / "mmqa_lab"
 LAYERS = (
     "__init__ _data _checks _compiled _results rotations",
     "cloud published",
-    "stats spacing planes io",
+    "stats spacing planes plane_search io",
     "scan_pattern charts samples chart_cloud test_field lines radiometry repeatability",
     "boresight poles chart_image mtf tender image_targets",
     "simulate",

@@ -8,7 +8,6 @@ from hypothesis.extra.numpy import arrays
 
 from mmqa_lab.lines import (
     components,
-    distance_matrix,
     peak_threshold,
 )
 
@@ -65,7 +64,6 @@ def test_golden_pairs(test, model, expected):
     parts = components(test, model)
     values = [parts.angle, parts.parallel, parts.perpendicular, parts.distance(10)]
     assert [v.item() for v in values] == pytest.approx(expected, abs=1e-6)
-    assert distance_matrix(test, model).item() == pytest.approx(expected[3], abs=1e-6)
 
 
 @pytest.mark.parametrize("weight", [0.0, 1.0, 10.0])
@@ -81,17 +79,17 @@ def test_closed_form_is_the_transcription(rng, weight):
 
 def test_blocks_of_rows_change_nothing(rng, monkeypatch):
     test, model = at_random(rng, 60), at_random(rng, 50)
-    whole = distance_matrix(test, model)
-    monkeypatch.setattr("mmqa_lab.lines.BLOCK_PAIRS", 120)
-    np.testing.assert_array_equal(distance_matrix(test, model), whole)
+    whole = components(test, model).distance(10)
+    monkeypatch.setattr("mmqa_lab.lines.segments.BLOCK_PAIRS", 120)
+    np.testing.assert_array_equal(components(test, model).distance(10), whole)
 
 
 def test_shorter_line_turned_is_symmetric(rng):
     test, model = at_random(rng, 30), at_random(rng, 30)
-    there = distance_matrix(test, model, rotate="shorter")
-    back = distance_matrix(model, test, rotate="shorter")
+    there = components(test, model, rotate="shorter").distance(10)
+    back = components(model, test, rotate="shorter").distance(10)
     np.testing.assert_allclose(there, back.T, atol=1e-11)
-    literal = distance_matrix(test, model), distance_matrix(model, test)
+    literal = components(test, model).distance(10), components(model, test).distance(10)
     assert np.abs(literal[0] - literal[1].T).max() > 0.1  # the paper's reading is not
 
 
@@ -121,7 +119,7 @@ def test_the_order_of_ends_is_of_no_account(test, model, flips):
     turned[1][flip[6:]] = turned[1][flip[6:], ::-1]
     # the projections change by some roundings of 150 m
     np.testing.assert_allclose(
-        distance_matrix(*turned), distance_matrix(test, model), rtol=0, atol=1e-9
+        components(*turned).distance(10), components(test, model).distance(10), rtol=0, atol=1e-9
     )
 
 
@@ -129,21 +127,21 @@ def test_the_order_of_ends_is_of_no_account(test, model, flips):
 @given(ENDS, ENDS, st.integers(0, 1000))
 def test_rigid_motion_scale_and_a_far_origin(test, model, seed):
     rng = np.random.default_rng(seed)
-    expected = distance_matrix(test, model)
+    expected = components(test, model).distance(10)
     turn, shift = rotation(rng), rng.uniform(-100, 100, 3)
     moved = [ends @ turn.T + shift for ends in (test, model)]
-    np.testing.assert_allclose(distance_matrix(*moved), expected, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(components(*moved).distance(10), expected, rtol=0, atol=1e-9)
     far = [ends + LAMBERT_93 for ends in (test, model)]
     # the coordinates themselves are rounded to 5e-10 m; short segments turn by that over 0.1 m
-    assert np.abs(distance_matrix(*far) - expected).max() < 1e-8 * 50
+    assert np.abs(components(*far).distance(10) - expected).max() < 1e-8 * 50
     grown = [3 * test, 3 * model]
-    np.testing.assert_allclose(distance_matrix(*grown), 3 * expected, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(components(*grown).distance(10), 3 * expected, rtol=1e-9, atol=1e-9)
 
 
 def test_a_displacement_of_equal_segments_is_the_distance(rng):
     model = at_random(rng, 12)
     for vector in rng.normal(size=(5, 3)):
-        there = distance_matrix(model + vector, model).diagonal()
+        there = components(model + vector, model).distance(10).diagonal()
         np.testing.assert_allclose(there, np.linalg.norm(vector), atol=1e-12)
 
 

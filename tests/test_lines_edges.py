@@ -5,7 +5,7 @@ import pytest
 
 from mmqa_lab import lines
 from mmqa_lab.lines import extract_edges
-from mmqa_lab.planes import detect_planes, usual_size
+from mmqa_lab.plane_search import detect_planes, usual_size
 from mmqa_lab.simulate.canyon import canyon, canyon_cloud, canyon_edges, canyon_faces
 
 

@@ -50,7 +50,7 @@ def test_hungarian_keeps_a_pair_at_the_very_threshold():
 def test_fragments_take_both_pieces_but_not_a_neighbour():
     model = [[[0, 0, 0], [20, 0, 0]]]
     pieces = [[[0, 0.1, 0], [9, 0.1, 0]], [[11, 0.1, 0], [20, 0.1, 0]], [[1, 0.8, 0], [8, 0.8, 0]]]
-    d = lines.distance_matrix(pieces, model)
+    d = lines.components(pieces, model).distance(10)
     choices = {"test": pieces, "model": model}
     assert correspond(d, 1.0, matcher="fragments", **choices)[:, 0].tolist() == [True, True, False]
     assert correspond(d, 1.0, matcher="mutual").sum() == 1
@@ -155,7 +155,7 @@ def test_the_displaced_matcher_beats_the_published_one(kind):
         for names in COMPARISONS[kind]:
             truth = scene.pairs(*names)
             test, model = two(scene, names)
-            d = lines.distance_matrix(test, model)
+            d = lines.components(test, model).distance(10)
             literal = d <= lines.peak_threshold(d.min(axis=1)).delta
             ours = match_displaced(test, model).pairs
             gains.append(pairing_scores(ours, truth).f1 - pairing_scores(literal, truth).f1)
@@ -259,21 +259,13 @@ def test_range_denominator_and_threshold_are_choices(scene):
     paired = sizes[np.nonzero(one.pairs)[1]].sum()
     assert whole.test_model.olhd(10) == pytest.approx(one.olhd(10) * paired / sizes.sum())
     assert fixed.test_model.threshold.delta == 0.9
-    near = lines.distance_matrix(test, model) <= 0.9
+    near = lines.components(test, model).distance(10) <= 0.9
     np.testing.assert_array_equal(fixed.test_model.pairs, near)
     kinds = plain.kinds()
     groups = {"one-to-null", "one-to-one", "one-to-multiple", "multiple-to-one"}
     assert groups < set(kinds.index)
     alone = (~one.pairs.any(axis=1)).sum() + (~one.pairs.any(axis=0)).sum()
     assert kinds["one-to-null"] == alone
-
-
-def test_plain_hausdorff_is_the_largest_nearest_distance(rng):
-    """Equations 1 and 2, by brute force."""
-    ends = rng.uniform(0, 30, (2, 6, 2, 3))
-    there, back = lines.distance_matrix(*ends), lines.distance_matrix(*ends[::-1])
-    directed = [max(min(row) for row in matrix.tolist()) for matrix in (there, back)]
-    assert lines.hausdorff(*ends) == pytest.approx(max(directed))
 
 
 @pytest.mark.parametrize(("choices", "delta"), [({"at": "value"}, 2.62), ({"order": 1}, 0.55)])

@@ -77,8 +77,8 @@ def test_pairs_and_numbers_are_scored_as_well(one):
     sets, truth = one
     exact = study.score(truth.pairs, truth)
     assert exact["f1"] == 1
-    distances = lines.distance_matrix(sets.test, sets.model)
-    back = lines.distance_matrix(sets.model, sets.test)
+    distances = lines.components(sets.test, sets.model).distance(10)
+    back = lines.components(sets.model, sets.test).distance(10)
     rows, columns = np.nonzero(truth.pairs)
     by_hand = max(
         np.average(distances[rows, columns], weights=lines.lengths(sets.model)[columns]),
@@ -136,3 +136,12 @@ def test_checks_of_the_notebook_fail_with_other_numbers():
     true = false | {"off": pd.Series([True]), "plateau": 0.01, "moved": 0.1, "bias": -0.9}
     true |= {"loud": pd.Series({"W = 10": 0.7, "W = 0": 0.8}), "across": 0.01, "gain": {"low": 0.1}}
     assert not spoiled("lhd_weight", true | {"passed": True})
+
+
+def test_plain_hausdorff_is_the_largest_nearest_distance(one):
+    """Equations 1 and 2, by brute force."""
+    sets = one[0]
+    there = lines.components(sets.test, sets.model).distance(10).tolist()
+    back = lines.components(sets.model, sets.test).distance(10).tolist()
+    directed = [max(min(row) for row in matrix) for matrix in (there, back)]
+    assert study.METHODS["plain Hausdorff"](sets) == pytest.approx(max(directed))

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.sparse import csc_array
 
 from mmqa_lab._checks import check_points
-from mmqa_lab.planes import CELLS_PER_SIZE, Grid, detect_planes, usual_size
+from mmqa_lab.plane_search import CELLS_PER_SIZE, Grid, detect_planes, usual_size
 
 LEAST_DEG = 20.0
 """Least angle between two planes with an edge."""
@@ -64,8 +64,8 @@ def extract_edges(
     points : array_like, shape (n, 3)
         Metres.
     tolerance, size
-        As in :func:`mmqa_lab.planes.detect_planes`, m. Points within the tolerance of two planes
-        support neither. Edges are half of ``size`` long at least. A face smaller than a quarter of
+        As in :func:`mmqa_lab.plane_search.detect_planes`, m. Points within the tolerance of two
+        planes support neither. Edges are half of ``size`` long at least. A face smaller than a quarter of
         ``size`` squared has no edges. Default size: 1.5 m, or 2 m if scan lines are far apart. In
         thin clouds it grows up to 3 m, for about three points in a square with a side of a quarter
         of ``size``.
