@@ -65,10 +65,10 @@ def extract_edges(
         Metres.
     tolerance, size
         As in :func:`mmqa_lab.plane_search.detect_planes`, m. Points within the tolerance of two
-        planes support neither. Edges are half of ``size`` long at least. A face smaller than a quarter of
-        ``size`` squared has no edges. Default size: 1.5 m, or 2 m if scan lines are far apart. In
-        thin clouds it grows up to 3 m, for about three points in a square with a side of a quarter
-        of ``size``.
+        planes support neither. Edges are half of ``size`` long at least. A face smaller than a
+        quarter of ``size`` squared has no edges. Default size: 1.5 m, or 2 m if scan lines are far
+        apart. In thin clouds it grows up to 3 m, for about three points in a square with a side of
+        a quarter of ``size``.
 
     Returns
     -------
