@@ -2,6 +2,7 @@
 
 import difflib
 import numbers
+import os
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,9 @@ __all__ = [
     "check_count",
     "check_file",
     "check_image",
+    "check_kind",
     "check_number",
+    "check_outputs",
     "check_plan",
     "check_points",
     "check_polygon",
@@ -21,6 +24,19 @@ __all__ = [
     "check_upright",
     "check_values",
 ]
+
+# How files of a kind begin. Of text only that it has no zero byte is known.
+BEGINNINGS = {
+    ".html": (b"<",),
+    ".svg": (b"<",),
+    ".pdf": (b"%PDF",),
+    ".png": (b"\x89PNG",),
+    ".nc": (b"CDF", b"\x89HDF"),
+    ".tif": (b"II", b"MM"),
+    ".las": (b"LASF",),
+    ".laz": (b"LASF",),
+    ".csv": (b"",),
+}
 
 
 def check_points(points, *, name="points", columns=3, minimum=1):
@@ -158,6 +174,60 @@ def check_file(path, name):
     if not Path(path).is_file():
         raise FileNotFoundError(f"Invalid {name} {path}: no such file. Must exist.")
     return Path(path)
+
+
+def check_outputs(outputs, inputs=()):
+    """Raise where writing these files would replace an input, each other, or other kinds of files.
+
+    Files are compared by what they are: a link or another spelling of a path is the same file. A
+    file may be replaced by one of its own kind; a folder is no file.
+
+    Examples
+    --------
+    >>> check_outputs(["table.csv"], ["cloud.laz", "./table.csv"])
+    Traceback (most recent call last):
+    ValueError: Invalid output table.csv: it is an input. Must be another file.
+    """
+    for number, path in enumerate(map(Path, outputs)):
+        if any(_is_same(path, one) for one in inputs):
+            raise ValueError(f"Invalid output {path}: it is an input. Must be another file.")
+        if any(_is_same(path, one) for one in outputs[:number]):
+            raise ValueError(f"Invalid output {path}: given twice. Must be another file.")
+        if not path.absolute().parent.is_dir():
+            raise ValueError(f"Invalid output {path}: no folder {path.parent}. Must exist.")
+        if path.suffix.lower() in BEGINNINGS:
+            check_kind(path)
+        elif path.is_file():
+            found = "a file of another kind is there"
+            raise ValueError(f"Invalid output {path}: {found}. Must be another name.")
+
+
+def check_kind(path):
+    """Raise where something is at a path that is no file of the kind that its ending says.
+
+    Examples
+    --------
+    >>> check_kind(Path("."))
+    Traceback (most recent call last):
+    OSError: Invalid output .: a folder or device. Must be a file.
+    """
+    path, ending = Path(path), Path(path).suffix.lower()
+    if path.exists() and not path.is_file():
+        raise OSError(f"Invalid output {path}: a folder or device. Must be a file.")
+    if not path.is_file() or ending not in BEGINNINGS:
+        return
+    with open(path, "rb") as file:
+        head = file.read(1024).lstrip(b"\xef\xbb\xbf \n\r")
+    zero = b"\0" in head and ending in (".csv", ".html", ".svg")
+    if head and (zero or not head.startswith(BEGINNINGS[ending])):
+        raise ValueError(f"Invalid output {path}: no {ending} file is there. Must be another name.")
+
+
+def _is_same(path, other):
+    """Whether two paths name one file, which need not exist."""
+    if os.path.exists(path) and os.path.exists(other):
+        return os.path.samefile(path, other)
+    return os.path.realpath(path) == os.path.realpath(other)
 
 
 def check_columns(table, columns, name):

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice, check_points, check_same_crs
 
-__all__ = ["Cloud", "describe", "path_distance", "sort_into_cells", "unit_remarks"]
+__all__ = ["Cloud", "cells_of", "describe", "path_distance", "sort_into_cells", "unit_remarks"]
 
 # More points in a square of one unit's side than any survey in metres has: the unit is degrees.
 CROWDED = 1e8
@@ -20,6 +20,9 @@ FARTHEST_NEIGHBOUR_M = 1.5
 
 # Edges of buildings are shorter than this, m.
 LONGEST_EDGE_M = 300.0
+
+# Points this share of a cell below a border lie on it.
+ON_BORDER = 1e-6
 
 # Points below which nothing is said of a unit.
 FEWEST_FOR_UNIT = 50
@@ -222,8 +225,36 @@ def path_distance(xy: ArrayLike, path: ArrayLike) -> np.ndarray:
     return shapely.distance(shapely.points(xy), line)
 
 
+def cells_of(points: ArrayLike, size: float) -> np.ndarray:
+    """Return the place of the cell of each point: the only rule of which cell a point is in.
+
+    Borders lie at multiples of the size, and belong to the cell above them. A millionth of the size
+    below a border is on it, so that rounding of large coordinates moves no point.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, d)
+        Coordinates, in any unit.
+    size : float
+        Side of the square or cubic cells, in that unit.
+
+    Returns
+    -------
+    array of int, shape (n, d)
+        In cells from the origin.
+
+    Examples
+    --------
+    >>> cells_of([[0.3, 0.29], [-0.1, 10_000_000.3]], 0.1).tolist()
+    [[3, 2], [-1, 100000003]]
+    """
+    places = np.asarray(points) / size
+    places += ON_BORDER
+    return np.floor(places, out=places).astype(np.int64)
+
+
 def sort_into_cells(points: np.ndarray, size: float) -> tuple[np.ndarray, ...]:
-    """Sort points into square or cubic cells whose borders lie at multiples of their size.
+    """Sort points into their square or cubic cells, those of :func:`cells_of`.
 
     Parameters
     ----------
@@ -252,13 +283,15 @@ def sort_into_cells(points: np.ndarray, size: float) -> tuple[np.ndarray, ...]:
     >>> order.tolist(), starts.tolist(), places.tolist()
     ([1, 0, 2], [0, 1, 3], [[0, 0], [1, 0]])
     """
-    index = np.floor(points / size).astype(np.int64)
+    index = cells_of(points, size)
     low = index.min(axis=0)
     index -= low
     wide = index.max(axis=0) + 1
     if np.prod(wide.astype(float)) > 2.0**62:
         raise ValueError(f"Invalid cell size {size}. Must be larger for a cloud as wide as this.")
     key = np.ravel_multi_index(tuple(index.T), tuple(wide))
+    key = key.astype(np.min_scalar_type(np.prod(wide)))  # short numbers are sorted faster
     order = np.argsort(key, kind="stable")
-    first = np.flatnonzero(np.diff(key[order], prepend=-1))
+    key = key[order]
+    first = np.append(0, np.flatnonzero(key[1:] != key[:-1]) + 1)
     return order, np.append(first, len(order)), index[order[first]] + low

@@ -9,16 +9,29 @@ and :func:`open_map` opens the map. The figures do not depend on the size of the
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
+import sys
 import warnings
 from collections.abc import Sequence
+from contextlib import nullcontext
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
-from mmqa_lab._checks import check_choice, check_file, check_points, check_positive, check_same_crs
+from mmqa_lab._checks import (
+    check_choice,
+    check_count,
+    check_file,
+    check_points,
+    check_positive,
+    check_same_crs,
+)
+from mmqa_lab.chart_cloud import COARSE_MM, PAIRS
+from mmqa_lab.cloud import cells_of, sort_into_cells, unit_remarks
 from mmqa_lab.io import LAS_ENDINGS, iterate_cloud, write_atomically
 from mmqa_lab.planes import CONSISTENT_SCALE
 from mmqa_lab.spacing import quadrant_distances
@@ -27,7 +40,7 @@ if TYPE_CHECKING:
     import xarray as xr
     from numpy.typing import ArrayLike
 
-__all__ = ["map_campaign", "map_cloud", "open_map", "summarise", "write_map"]
+__all__ = ["FIGURES", "map_campaign", "map_cloud", "open_map", "placed", "summarise", "write_map"]
 
 FIGURES = {
     "n": ("1", "points in the cell"),
@@ -39,14 +52,24 @@ FIGURES = {
     "f": ("1", "inhomogeneity d4 / d1"),
     "incomplete_share": ("1", "share of points with an empty quadrant within the radius"),
     "sigma_mad": ("mm", "1.4826 x median absolute deviation from the plane of the cell's points"),
+    "coincident": ("1", "points in the place of another one: they raise the density"),
 }
 """Variables of a map with their units and meanings."""
+
+ENDINGS = (".nc", ".tif")
+"""Endings of maps: NetCDF and GeoTIFF."""
 
 # Fewest points for the sigma_MAD of a cell. A plane fits fewer points too closely.
 MINIMUM = 10
 
-# Most tiles in the rectangle around a campaign: 11 km x 11 km for cells of half a metre.
-MOST_TILES = 30_000
+# Most cells in the rectangle of a map, 8 GB: 5 km x 5 km for cells of half a metre.
+MOST_CELLS = 1e8
+
+# Points are sorted into tiles of this side, m, which are joined until one has so many points.
+TILE_M, ENOUGH = 8.0, 100_000
+
+# The folder of a campaign's own within a run folder, and the ending of its working files.
+OWN, WORKING = "mmqa_map", ".mmqa_points"
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
@@ -56,7 +79,7 @@ def map_cloud(points: ArrayLike, *, cell: float = 0.5, radius: float = 0.5) -> x
 
     Parameters
     ----------
-    points : array_like, shape (n, 3)
+    points : Cloud or array_like, shape (n, 3)
         Easting, northing and height, m.
     cell : float
         Side of the square cells, m. The borders lie at multiples of the side.
@@ -67,12 +90,17 @@ def map_cloud(points: ArrayLike, *, cell: float = 0.5, radius: float = 0.5) -> x
     -------
     Dataset
         Dimensions ``y``, ``x`` (centres of the cells, m), and the variables of ``FIGURES`` with
-        their units; NaN if not measurable.
+        their units; NaN if not measurable. The attribute ``remarks`` tells what speaks against
+        them.
 
     Raises
     ------
     ValueError
-        If the cloud is empty, or if ``cell`` or ``radius`` is not above zero.
+        If the cloud is empty or too wide, or if ``cell`` or ``radius`` is not above zero.
+
+    See Also
+    --------
+    map_campaign : the same for files of any size.
 
     References
     ----------
@@ -85,44 +113,45 @@ def map_cloud(points: ArrayLike, *, cell: float = 0.5, radius: float = 0.5) -> x
     >>> dict(found.sizes), float(found["d4"].median().round(6))
     ({'y': 4, 'x': 2}, 40.0)
     """
+    step, crs = getattr(points, "resolution", np.nan), getattr(points, "crs", None)
     points = check_points(points)
     cell, radius = check_positive(cell, "cell", unit="m"), check_positive(radius, "radius")
-    plan = points[:, :2]
-    low, high = (np.floor(end / cell).astype(int) for end in (plan.min(axis=0), plan.max(axis=0)))
-    inner = np.ones(len(points), dtype=bool)
-    return _evaluated(points - np.append(low, 0) * cell, low, high + 1 - low, cell, radius, inner)
+    _check_extent(points, cell)
+    index = cells_of(points[:, :2], cell)
+    table = _evaluated(points, index, np.ones(len(points), dtype=bool), cell, radius)
+    remarks = unit_remarks(points, crs=crs)
+    return _dataset(table, {"cell": cell, "radius": radius, "step": step, "remarks": remarks})
 
 
-def _evaluated(local, first, size, cell, radius, inner):
-    """The Dataset of cells, from points with the corner of the first cell as origin."""
-    import xarray as xr
+def _check_extent(points, cell):
+    """Refuse clouds that are too wide, such as clouds in millimetres."""
+    size = np.ptp(points, axis=0)[:2]
+    if np.prod(size / cell + 1) > MOST_CELLS:
+        wide = " x ".join(f"{length / 1000:.4g} km" for length in size)
+        most = f"{MOST_CELLS / 1e6:.0f} million cells of {cell} m"
+        raise ValueError(f"Invalid clouds over {wide}. Must lie in {most}, in metres.")
 
-    column, row = np.floor(local[inner, :2] / cell).astype(int).T
-    order = np.argsort(row * size[0] + column, kind="stable")
-    cells, starts = np.unique((row * size[0] + column)[order], return_index=True)
-    counts = np.diff(np.append(starts, len(order)))
+
+def _evaluated(points, index, inner, cell, radius):
+    """A row for each cell with points: its place and its figures, shape (m, 2 + figures).
+
+    ``index`` has the points' cells. Points that are not ``inner`` only count as neighbours.
+    """
+    order, starts, cells = sort_into_cells(index[inner], 1)
+    starts, counts = starts[:-1], np.diff(starts)
     group = np.repeat(np.arange(len(cells)), counts)
-    distances = quadrant_distances(local[:, :2], radius=radius, of=inner)[inner][order]
-    found = {"n": counts, "density": counts / cell**2}
-    for k in range(4):
-        found[f"d{k + 1}"] = 1000 * _medians(distances[:, k], group)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        found["f"] = np.where(found["d1"] > 0, found["d4"] / found["d1"], np.nan)
-    missing = np.isnan(distances[:, 3]).astype(float)
-    found["incomplete_share"] = np.add.reduceat(missing, starts) / counts
-    deviations = _deviations(local[inner][order], starts, counts, group)
+    local = points[:, :2] - cells[0] * cell
+    distances = quadrant_distances(local, radius=radius, of=inner)[inner][order]
+    own = points[inner][order]
+    deviations = _deviations(own, starts, counts, group)
     off = np.abs(deviations - _medians(deviations, group)[group])
-    sigma = 1000 * CONSISTENT_SCALE * _medians(off, group)
-    found["sigma_mad"] = np.where(counts >= MINIMUM, sigma, np.nan)
-    data = {}
-    for name, (unit, meaning) in FIGURES.items():
-        whole = np.full(size[0] * size[1], 0 if name == "n" else np.nan)
-        whole[cells] = found[name]
-        about = {"units": unit, "long_name": meaning}
-        data[name] = (("y", "x"), whole.reshape(size[1], size[0]), about)
-    x, y = ((first[k] + np.arange(size[k]) + 0.5) * cell for k in (0, 1))
-    axes = {"y": ("y", y, {"units": "m"}), "x": ("x", x, {"units": "m"})}
-    return xr.Dataset(data, coords=axes, attrs={"cell_m": cell, "radius_m": radius})
+    sigma = np.where(counts >= MINIMUM, CONSISTENT_SCALE * _medians(off, group), np.nan)
+    d = [_medians(distances[:, k], group) for k in range(4)]
+    missing = np.add.reduceat(np.isnan(distances[:, 3]).astype(float), starts)
+    same = np.add.reduceat(_coincident(own), starts)
+    lengths = [1000 * length for length in (*d, sigma)]
+    figures = counts, counts / cell**2, *lengths[:4], d[3] / d[0], missing / counts
+    return np.column_stack([cells, *figures, lengths[4], same])
 
 
 def _medians(values, group):
@@ -132,11 +161,64 @@ def _medians(values, group):
 
 def _deviations(points, starts, counts, group):
     """Signed distances from the regression planes of the groups, m."""
-    centres = np.add.reduceat(points, starts) / counts[:, None]
-    centred = points - centres[group]
-    scatter = np.add.reduceat(centred[:, :, None] * centred[:, None, :], starts)
-    normals = np.linalg.eigh(scatter)[1][:, :, 0]
-    return np.einsum("ni,ni->n", centred, normals[group])
+    local = np.ascontiguousarray((points - points[starts][group]).T)
+    local -= (np.add.reduceat(local, starts, axis=1) / counts)[:, group]
+    squares = [np.add.reduceat(a * b, starts) for a in local for b in local]
+    normals = np.linalg.eigh(np.reshape(squares, (3, 3, -1)).T)[1][:, :, 0]
+    return (local * normals.T[:, group]).sum(axis=0)
+
+
+def _coincident(points):
+    """1 for a point with the three coordinates of another one, else 0."""
+    bits = (points + 0.0).view(np.uint64)  # of zeros both signs are one place
+    key = (bits * np.array([3, 5, 7], dtype=np.uint64) ** 20).sum(axis=1)
+    listed = np.sort(key)
+    return np.isin(key, listed[1:][listed[1:] == listed[:-1]]).astype(int)
+
+
+def _dataset(table, run):
+    """The Dataset of rows of :func:`_evaluated`."""
+    import xarray as xr
+
+    cells, cell = table[:, :2].astype(np.int64), run["cell"]
+    first = cells.min(axis=0)
+    columns, rows = (cells - first).T
+    data = {}
+    for (name, (unit, meaning)), values in zip(FIGURES.items(), table.T[2:], strict=True):
+        whole = np.full((rows.max() + 1, columns.max() + 1), 0 if name == "n" else np.nan)
+        whole[rows, columns] = values
+        data[name] = (("y", "x"), whole, {"units": unit, "long_name": meaning})
+    x, y = ((place + np.arange(size) + 0.5) * cell for place, size in zip(
+        first, whole.shape[::-1], strict=True))  # fmt: skip
+    axes = {"y": ("y", y, {"units": "m"}), "x": ("x", x, {"units": "m"})}
+    medians = pd.DataFrame(table[:, 2:], columns=list(FIGURES)).median()
+    same = np.nansum(data["coincident"][1]), data["n"][1].sum()
+    remarks = [*run["remarks"], *_remarks(medians, 1000 * run["step"], *same)]
+    about = {"cell_m": cell, "radius_m": run["radius"], "remarks": " ".join(remarks)}
+    return xr.Dataset(data, coords=axes, attrs=about)
+
+
+def _remarks(medians, step_mm, same, count):
+    """What speaks against the figures of a map."""
+    coarse = [f"sigma_MAD {medians.sigma_mad:.3g} mm"] * int(step_mm > medians.sigma_mad)
+    coarse += [f"d1 {medians.d1:.3g} mm"] * int(step_mm > medians.d1 / 5)
+    remarks = (
+        (
+            step_mm > COARSE_MM and coarse,
+            f"Coordinates are in steps of {step_mm:.3g} mm: too coarse for {' and '.join(coarse)}.",
+        ),
+        (
+            medians.d2 > PAIRS * medians.d1,
+            f"d2 is {medians.d2 / medians.d1:.0f} times d1: points come in pairs, as from two "
+            "returns of a pulse or from a repeated scan; density and f count both.",
+        ),
+        (
+            same,
+            f"{same:.0f} points ({100 * same / count:.3g} %) share their place with another: they "
+            "raise the density.",
+        ),
+    )
+    return [sentence for holds, sentence in remarks if holds]
 
 
 def map_campaign(
@@ -148,20 +230,29 @@ def map_campaign(
     tile: int = 128,
     client: Any = None,
 ) -> Path:
-    """Map cloud files tile by tile on Dask; tiles on disk are not computed again.
+    """Map cloud files of any size tile by tile on Dask; tiles on disk are not computed again.
+
+    Dask gives the files, and then the tiles, to its workers: threads of this process, or those of a
+    cluster. Each file is read once; its points, sorted into tiles, take 24 bytes each on disk until
+    the map is done. Then each tile is evaluated with the points around it.
 
     Parameters
     ----------
     paths : sequence of path
-        Cloud files, and folders of LAS, LAZ and COPC files, all in the same coordinate system.
+        Cloud files, and folders of LAS, LAZ and COPC files, all in the same coordinate system. A
+        file that is given twice, or with the points of another one, counts once.
     folder : path
-        Folder of this run. A run that was stopped continues with the missing tiles.
+        Folder of this run. A run that was stopped continues with the missing tiles. All its files
+        lie in the folder ``mmqa_map`` within; others are left as they are.
     cell, radius : float
         See :func:`map_cloud`, m.
     tile : int
-        Cells along the side of a tile.
+        Largest side, in cells, of the tiles in which points lie on disk. Neighbours of few points
+        are evaluated together. The figures do not depend on it.
     client : distributed.Client, optional
-        A cluster that can read the same paths; by default processes of this machine.
+        A cluster whose workers reach the same paths and this folder, such as
+        ``Client("tcp://address:8786")``, or ``Client()`` for processes of this machine. A tile
+        whose worker is lost goes to another one.
 
     Returns
     -------
@@ -174,107 +265,201 @@ def map_campaign(
         If the coordinate systems of the files differ, if the files contain no point or too wide an
         area, or if the folder belongs to a run with other files or parameters.
     """
+    paths = _files(paths)
+    cell, radius = check_positive(cell, "cell", unit="m"), check_positive(radius, "radius")
+    tile = min(check_count(tile, "tile"), max(1, round(TILE_M / cell)))
+    files = [[str(path), path.stat().st_size, path.stat().st_mtime_ns] for path in paths]
+    run = {"cell": cell, "radius": radius, "tile": tile, "files": files}
+    own, kept = Path(folder).resolve() / OWN, _record(folder)
+    if kept and {name: kept.get(name) for name in run} != run:
+        raise ValueError(f"Invalid folder {folder}: of other files or parameters. Must be empty.")
+    if kept:
+        count = len(kept["tiles"])
+        there = count - len(_missing(own, kept))
+        print(f"{folder}: {there} of {count} tiles are there.", file=sys.stderr)
+        if there == count:
+            return Path(folder)
+    try:
+        own.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OSError(f"Invalid folder {own}: {error.strerror}. Must be writable.") from error
+    try:
+        tasks = [(own, file, cell, tile) for file in files]
+        slices, found = _joined(_computed(_sort_file, tasks, "files", client), run)
+    except ValueError:
+        _remove_working_files(own)
+        raise
+    if not kept:
+        kept = run | found
+        write_atomically(own / "run.json", json.dumps(kept, indent=1))
+    tasks = [(own, place, _near(slices, place, kept), kept) for place in _missing(own, kept)]
+    _computed(_map_tile, tasks, "tiles", client)
+    _remove_working_files(own)
+    return Path(folder)
+
+
+def _computed(function, tasks, unit, client):
+    """The results of a function for many tasks, on Dask."""
     import dask
     from tqdm.dask import TqdmCallback
 
-    folder, paths = Path(folder), _files(paths)
-    cell, radius = check_positive(cell, "cell", unit="m"), check_positive(radius, "radius")
-    files = [[str(path), path.stat().st_size, path.stat().st_mtime_ns] for path in paths]
-    run = {"cell": cell, "radius": radius, "tile": tile, "files": files}
-    kept = _record(folder)
-    if kept and {name: kept[name] for name in run} != run:
-        raise ValueError(f"Invalid folder {folder}: of other files or parameters. Must be empty.")
-    if not kept:
-        kept = run | _sorted_points(paths, folder, cell * tile)
-        write_atomically(folder / "run.json", json.dumps(kept, indent=1))
-    places = [tuple(place) for place in kept["tiles"]]
-    missing = [place for place in places if not _tile(folder, place).is_file()]
-    tasks = [dask.delayed(_map_tile)(folder, place, kept) for place in missing]
+    delayed = [dask.delayed(function)(*task) for task in tasks]
     if client is not None:
-        client.gather(client.compute(tasks))
-    else:
-        with TqdmCallback(desc="tiles", disable=None, leave=False):  # none without a terminal
-            dask.compute(tasks, scheduler="processes")
-    return folder
+        return client.gather(client.compute(delayed))
+    with TqdmCallback(desc=unit, disable=None, leave=False):  # none without a terminal
+        return dask.compute(delayed, scheduler="threads")[0]
 
 
 def _files(paths):
-    """The cloud files of paths and of folders."""
-    found = []
+    """The cloud files of paths and of folders, each once, in the order of their names."""
+    found = {}
     for path in map(Path, paths):
-        inside = sorted(file for file in path.rglob("*") if file.suffix.lower() in LAS_ENDINGS)
-        found += inside if path.is_dir() else [check_file(path, "cloud")]
+        inside = [file for file in path.rglob("*") if file.suffix.lower() in LAS_ENDINGS]
+        if path.is_dir() and not inside:
+            raise ValueError(f"Invalid folder {path}: no cloud. Must contain .las or .laz files.")
+        for file in inside if path.is_dir() else [check_file(path, "cloud")]:
+            found.setdefault((file.stat().st_dev, file.stat().st_ino), file.resolve())
     if not found:
-        raise ValueError(f"Invalid folder {paths[0]}: no cloud. Must contain .las or .laz files.")
-    return found
+        raise ValueError("Invalid clouds: none given. Must be one or more files.")
+    return sorted(found.values())
 
 
 def _record(folder):
     """The record of a run folder; an empty dict without a record."""
-    file = folder / "run.json"
+    file = Path(folder) / OWN / "run.json"
     return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
 
 
-def _tile(folder, place):
+def _key(*values):
+    """A short name that stands for values."""
+    return sha256(json.dumps(values).encode()).hexdigest()[:16]
+
+
+def _tile(own, place, run):
     """The file of a tile's figures."""
-    return folder / f"tile_{place[0]}_{place[1]}.nc"
+    key = _key(*(run[name] for name in ("cell", "radius", "tile", "files")))
+    return own / f"tile_{place[0]}_{place[1]}_{key}.npy"
 
 
-def _sorted_points(paths, folder, side):
-    """Write the points of each tile to a file; return the tiles, origin and coordinate system."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for left in folder.glob("*.xyz"):  # of a run that was stopped while sorting
-        left.unlink()
-    origin = crs = None
-    places, without = set(), set()
-    for path in paths:
-        for part in iterate_cloud(path, columns=()):
-            if origin is None:
-                origin = (np.floor(part.points.min(axis=0) / side) * side).tolist()
-            crs = crs or part.crs
-            check_same_crs(str(path), part.crs, "first cloud", crs)
-            without |= {str(path)} if part.crs is None else set()
-            local = part.points - origin
-            own = np.floor(local[:, :2] / side).astype(int)
-            places |= set(map(tuple, np.unique(own, axis=0).tolist()))
-            _check_extent(places, side)
-            for place in np.unique(own, axis=0):
-                with open(folder / f"{place[0]}_{place[1]}.xyz", "ab") as file:
-                    file.write(local[(own == place).all(axis=1)].tobytes())
-    if not places:
-        raise ValueError(f"Invalid clouds {', '.join(map(str, paths))}: no point. Must have one.")
+def _missing(own, run):
+    """The tiles without a file."""
+    return [place for place in run["tiles"] if not _tile(own, place, run).is_file()]
+
+
+def _remove_working_files(own):
+    """Remove sorted points, and what a run that was killed had half written."""
+    for pattern in (f"*{WORKING}", ".tile_*.npy", ".run.*.json"):
+        for left in own.glob(pattern):
+            left.unlink(missing_ok=True)
+
+
+def _sort_file(own, file, cell, tile):
+    """Write the points of a file sorted into tiles, once; return what was found in it."""
+    key = _key(file, cell, tile)
+    index = own / f"{key}{WORKING}"
+    if index.is_file():
+        return json.loads(index.read_text(encoding="utf-8"))
+    found = {"path": file[0], "n": 0, "crs": None, "step": 0.0, "slices": []}
+    ends, total = [], np.zeros(3)
+    remote = multiprocessing.parent_process() is not None  # nobody would read what is said here
+    with warnings.catch_warnings(record=True) if remote else nullcontext([]) as said:
+        for number, part in enumerate(iterate_cloud(file[0], columns=())):
+            if not len(part):
+                continue
+            ends += [part.points.min(axis=0), part.points.max(axis=0)]
+            _check_extent(ends, cell)
+            order, starts, tiles = sort_into_cells(cells_of(part.points[:, :2], cell), tile)
+            name = f"{key}_{number}{WORKING}"
+            write_atomically(own / name, part.points[order].tofile)
+            rows = np.column_stack([tiles, starts[:-1], starts[1:]]).tolist()
+            found["slices"] += [(name, *row) for row in rows]
+            found["crs"] = None if part.crs is None else part.crs.to_wkt()
+            found["step"] = float(np.fmax(part.resolution, 0))
+            found["n"] += len(part)
+            total += (part.points - ends[0]).sum(axis=0)
+    if found["n"]:
+        mean = ends[0] + total / found["n"]
+        found["about"] = np.stack([np.min(ends, axis=0), np.max(ends, axis=0), mean]).tolist()
+    found["said"] = [str(one.message) for one in said]
+    write_atomically(index, json.dumps(found))
+    return found
+
+
+def _joined(files, run):
+    """The slices of all files, and what the record says of them."""
+    import pyproj
+
+    for sentence in (sentence for file in files for sentence in file["said"]):
+        warnings.warn(sentence, stacklevel=3)
+    counted, remarks, without, crs = [], [], [], None
+    for file in (one for one in files if one["n"]):
+        same = next((one["path"] for one in counted if _has_same_points(one, file)), None)
+        if same is not None:
+            remarks.append(f"{file['path']} has the points of {same}: counted once.")
+            continue
+        counted.append(file)
+        own = None if file["crs"] is None else pyproj.CRS(file["crs"])
+        crs = crs or own
+        check_same_crs(file["path"], own, "first cloud", crs)
+        without += [file["path"]] * (own is None)
+    if not counted:
+        listed = ", ".join(file["path"] for file in files)
+        raise ValueError(f"Invalid clouds {listed}: no point. Must have one.")
     if crs is not None and without:
-        listed = ", ".join(sorted(without))
+        listed = ", ".join(without)
         warnings.warn(f"No coordinate system in {listed}: taken for {crs.name}.", stacklevel=3)
-    crs = None if crs is None else crs.to_wkt()
-    return {"tiles": sorted(places), "origin": origin, "crs": crs}
+    _check_extent([end for file in counted for end in file["about"][:2]], run["cell"])
+    slices = pd.DataFrame(
+        [row for file in counted for row in file["slices"]],
+        columns=["name", "column", "row", "start", "stop"],
+    )
+    side, tiles = _tiles(slices, run["tile"])
+    step, crs = max(file["step"] for file in counted), None if crs is None else crs.to_wkt()
+    return slices, {"side": side, "tiles": tiles, "crs": crs, "step": step, "remarks": remarks}
 
 
-def _check_extent(places, side):
-    """Refuse clouds that are too wide, such as clouds in millimetres."""
-    spans = np.ptp(np.array(list(places)), axis=0) + 1
-    if spans.prod() > MOST_TILES:
-        wide = " x ".join(f"{span * side / 1000:.0f} km" for span in spans)
-        raise ValueError(f"Invalid clouds over {wide}. Must lie in {MOST_TILES} tiles, in metres.")
+def _has_same_points(file, other):
+    """Whether two files agree in count, box and mean of points, but for the steps they are in."""
+    off = np.abs(np.subtract(file["about"], other["about"])).max()
+    return file["n"] == other["n"] and off <= 1.001 * max(file["step"], other["step"], 1e-5)
 
 
-def _map_tile(folder, place, run):
+def _tiles(slices, side):
+    """Side in cells and places of tiles that are joined until one has enough points."""
+    counts = (slices["stop"] - slices["start"]).groupby([slices["column"], slices["row"]]).sum()
+    while counts.max() < ENOUGH and len(counts) > 4:  # four meet at the origin and stay
+        columns, rows = (counts.index.get_level_values(level) // 2 for level in (0, 1))
+        counts, side = counts.groupby([columns, rows]).sum(), 2 * side
+    return side, [list(place) for place in counts.index]
+
+
+def _reach(run):
+    """Cells around a tile in which its points may have neighbours."""
+    return int(np.ceil(run["radius"] / run["cell"])) + 1
+
+
+def _near(slices, place, run):
+    """The slices with points in a tile and around it."""
+    inside = np.ones(len(slices), dtype=bool)
+    for name, low in zip(("column", "row"), np.multiply(place, run["side"]), strict=True):
+        inside &= (slices[name] >= (low - _reach(run)) // run["tile"]).to_numpy()
+        inside &= (slices[name] < (low + run["side"] + _reach(run)) / run["tile"]).to_numpy()
+    return slices.loc[inside, ["name", "start", "stop"]].to_numpy().tolist()
+
+
+def _map_tile(own, place, near, run):
     """Evaluate a tile with the points around it, and write its file."""
-    side, cell, radius = run["tile"] * run["cell"], run["cell"], run["radius"]
-    parts, corner = [], np.array([*place, 0]) * side
-    low, high = corner[:2] - radius, corner[:2] + side + radius
-    reach = int(np.ceil(radius / side))
-    for step in np.ndindex(2 * reach + 1, 2 * reach + 1):
-        near = np.array(place) + step - reach
-        file = folder / f"{near[0]}_{near[1]}.xyz"
-        if file.is_file():
-            points = np.fromfile(file).reshape(-1, 3)
-            parts.append(points[((points[:, :2] >= low) & (points[:, :2] <= high)).all(axis=1)])
-    points = np.concatenate(parts)
-    inner = (np.floor(points[:, :2] / side) == place).all(axis=1)
-    first = np.round((np.array(run["origin"][:2]) + corner[:2]) / cell).astype(int)
-    dataset = _evaluated(points - corner, first, (run["tile"],) * 2, cell, radius, inner)
-    write_atomically(_tile(folder, place), lambda path: dataset.to_netcdf(path, engine="scipy"))
+    first, cell, reach = np.multiply(place, run["side"]), run["cell"], _reach(run)
+    points = np.concatenate([
+        np.fromfile(own / name, count=3 * (stop - start), offset=24 * start)
+        for name, start, stop in near
+    ]).reshape(-1, 3)  # fmt: skip
+    index = cells_of(points[:, :2], cell)
+    around = ((index >= first - reach) & (index < first + run["side"] + reach)).all(axis=1)
+    points, index = points[around], index[around]
+    inner = ((index >= first) & (index < first + run["side"])).all(axis=1)
+    table = _evaluated(points, index, inner, cell, run["radius"])
+    write_atomically(_tile(own, place, run), lambda path: np.save(path, table))
 
 
 def open_map(folder: str | os.PathLike) -> xr.Dataset:
@@ -293,22 +478,16 @@ def open_map(folder: str | os.PathLike) -> xr.Dataset:
     Raises
     ------
     FileNotFoundError
-        If the folder contains no run.
+        If the folder contains no run, or one without a tile.
     """
-    import xarray as xr
-
-    run = _record(Path(folder))
-    if not run:
-        raise FileNotFoundError(f"Invalid run folder {folder}: no run.json. Must contain a run.")
-    files = [_tile(Path(folder), place) for place in run["tiles"]]
-    tiles = [xr.load_dataset(file, engine="scipy") for file in files if file.is_file()]
-    whole = xr.combine_by_coords(tiles, combine_attrs="override")
-    full, cell = {}, run["cell"]
-    for axis, other in ("yx", "xy"):  # from the first to the last place with points
-        places = whole[axis].values[(whole["n"] > 0).any(other)]
-        full[axis] = places[0] + cell * np.arange(round((places[-1] - places[0]) / cell) + 1)
-    whole = whole.reindex(full, method="nearest", tolerance=cell / 4)
-    whole["n"] = whole["n"].fillna(0)
+    own, run = Path(folder).resolve() / OWN, _record(folder)
+    missing = _missing(own, run) if run else []
+    if not run or len(missing) == len(run["tiles"]):
+        raise FileNotFoundError(f"Invalid folder {folder}: no tile. Must be of a campaign's map.")
+    if missing:
+        run["remarks"] += [f"{len(missing)} of {len(run['tiles'])} tiles are missing."]
+    files = [_tile(own, place, run) for place in run["tiles"] if place not in missing]
+    whole = _dataset(np.concatenate([np.load(file) for file in files]), run)
     return placed(whole, run["crs"]) if run["crs"] else whole
 
 
@@ -338,27 +517,29 @@ def summarise(dataset: xr.Dataset) -> pd.DataFrame:
     cells = dataset[names].to_dataframe()[names]
     table = cells.quantile(QUANTILES).T.set_axis([f"q{100 * q:02.0f}" for q in QUANTILES], axis=1)
     table.insert(0, "n", cells.count())
-    table.insert(0, "unit", [FIGURES[name][0] for name in names])
+    units = [FIGURES[name][0] for name in names]
+    table.insert(0, "unit", ["points/m2" if unit == "m-2" else unit for unit in units])
     return table.rename_axis("figure").reset_index()
 
 
-def write_map(dataset: xr.Dataset, path: str | os.PathLike) -> None:
+def write_map(path: str | os.PathLike, dataset: xr.Dataset) -> None:
     """Write a map as NetCDF (``.nc``) or GeoTIFF (``.tif``, a band for each figure).
 
     Parameters
     ----------
-    dataset : Dataset
-        From :func:`map_cloud` or :func:`open_map`.
     path : path
         The file to write.
+    dataset : Dataset
+        From :func:`map_cloud` or :func:`open_map`.
 
     Raises
     ------
     ValueError
-        If the ending is neither of these, or if a GeoTIFF would lack a coordinate system.
+        If the ending is neither of these, if another kind of file is there, or if a GeoTIFF would
+        lack a coordinate system.
     """
     path = Path(path)
-    if check_ending(path) == ".nc":
+    if check_choice(path.suffix.lower(), f"map {path} with ending", ENDINGS) == ".nc":
         write_atomically(path, lambda file: dataset.to_netcdf(file, engine="scipy"))
         return
     if "spatial_ref" not in dataset.coords:
@@ -389,8 +570,3 @@ def _write_geotiff(dataset, path):
     bands = np.stack([dataset[name].values[::-1] for name in dataset]).astype(np.float32)
     choices = {"photometric": "minisblack", "planarconfig": "separate", "compression": "zlib"}
     tifffile.imwrite(path, bands, extratags=tags, metadata=None, **choices)
-
-
-def check_ending(path):
-    """Return the ending of a map's file, or raise an error with the possible endings."""
-    return check_choice(Path(path).suffix, "ending of the map", (".nc", ".tif"))

@@ -1,15 +1,23 @@
 """Maps against a brute force, and campaigns against one cloud: and a run that was killed."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
+from pathlib import Path
+from unittest import mock
 
+import dask
 import numpy as np
+import pandas as pd
 import pyproj
 import pytest
 import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from mmqa_lab import io, maps
 from mmqa_lab.cloud import Cloud
@@ -85,26 +93,34 @@ def test_tiles_are_one_cloud(campaign):
         maps.map_campaign(paths, run, cell=0.25, tile=4)
 
 
-def test_a_run_that_was_killed_goes_on_with_the_same_bytes(campaign):
+RUN = "import sys; from mmqa_lab import maps; maps.ENOUGH = 1; "
+RUN += "maps.map_campaign(sys.argv[2:], sys.argv[1], cell=0.5, tile=2)"
+
+
+def tiles(folder):
+    """Content of the files of a run's tiles."""
+    return {path.name: path.read_bytes() for path in folder.rglob("tile_*.npy")}
+
+
+@pytest.mark.parametrize("until", ["*.mmqa_points", "tile_*.npy"])
+def test_a_run_that_was_killed_goes_on_with_the_same_bytes(campaign, until, monkeypatch, capsys):
+    monkeypatch.setattr(maps, "ENOUGH", 1)
     paths, folder = campaign
-    code = (
-        "import sys; from mmqa_lab import maps; "
-        "maps.map_campaign(sys.argv[2:], sys.argv[1], cell=0.5, tile=2)"
-    )
-    child = subprocess.Popen([sys.executable, "-c", code, folder / "killed", *paths])
-    while not list((folder / "killed").glob("tile_*.nc")) and child.poll() is None:
-        time.sleep(0.05)
-    os.kill(child.pid, signal.SIGKILL)
+    child = subprocess.Popen([sys.executable, "-c", RUN, folder / "killed", *paths])
+    while not list((folder / "killed").rglob(until)) and child.poll() is None:
+        time.sleep(0.01)
+    child.kill()
     child.wait()
-    time.sleep(0.5)  # its workers end
-    before = {path: path.stat().st_mtime_ns for path in (folder / "killed").glob("tile_*.nc")}
+    before = {path: path.stat().st_mtime_ns for path in (folder / "killed").rglob("tile_*.npy")}
     maps.map_campaign(paths, folder / "killed", cell=0.5, tile=2)
+    assert ("of 45 tiles are there." in capsys.readouterr().err) == bool(before)
     assert {path: path.stat().st_mtime_ns for path in before} == before  # what is there is done
-    maps.map_campaign(paths, folder / "straight", cell=0.5, tile=2)
-    tiles = sorted(path.name for path in (folder / "straight").glob("*.nc"))
-    assert tiles
-    for name in tiles:
-        assert (folder / "killed" / name).read_bytes() == (folder / "straight" / name).read_bytes()
+    for workers in (1, 3):
+        with dask.config.set(num_workers=workers):
+            maps.map_campaign(paths, folder / str(workers), cell=0.5, tile=2)
+        assert tiles(folder / str(workers)) == tiles(folder / "killed")
+    assert len(tiles(folder / "killed")) == 45
+    assert {path.suffix for path in (folder / "killed").rglob("*.*")} == {".json", ".npy"}
 
 
 def test_a_lost_worker_costs_nothing(campaign):
@@ -123,14 +139,14 @@ def test_maps_are_written_as_netcdf_and_geotiff(tmp_path):
     import rasterio
 
     dataset = maps.map_cloud(street())
-    maps.write_map(dataset, tmp_path / "map.nc")
+    maps.write_map(tmp_path / "map.nc", dataset)
     with xr.open_dataset(tmp_path / "map.nc", engine="scipy") as written:
         assert written["d1"].attrs["units"] == "mm"
         assert int(written["n"].sum()) == 6000
     with pytest.raises(ValueError, match="no coordinate system"):
-        maps.write_map(dataset, tmp_path / "map.tif")
+        maps.write_map(tmp_path / "map.tif", dataset)
     placed = maps.placed(dataset, "EPSG:25832")
-    maps.write_map(placed, tmp_path / "map.tif")
+    maps.write_map(tmp_path / "map.tif", placed)
     with rasterio.open(tmp_path / "map.tif") as raster:
         assert raster.crs.to_epsg() == 25832
         assert raster.descriptions == tuple(dataset)
@@ -155,9 +171,115 @@ def test_tiles_without_points_and_files_without_a_coordinate_system(tmp_path):
 
 def test_clouds_in_millimetres_are_refused_before_any_work(tmp_path):
     io.write_cloud(tmp_path / "mm.laz", 1000 * street(n=500), scale=0.01)
-    with pytest.raises(ValueError, match="Must lie in 30000 tiles, in metres"):
-        maps.map_campaign([tmp_path / "mm.laz"], tmp_path / "run", tile=16)
-    assert not list((tmp_path / "run").glob("*.xyz"))
+    with pytest.raises(ValueError, match=r"Must lie in 100 million cells of 0\.25 m"):
+        maps.map_campaign([tmp_path / "mm.laz"], tmp_path / "run", cell=0.25)
+    assert not [path for path in (tmp_path / "run").rglob("*") if path.is_file()]
+    with pytest.raises(ValueError, match=r"over 2000 km x 0\.\d+ km\. Must lie in 100 million"):
+        maps.map_cloud(np.vstack([street(n=500), [2448000.0, 5411000.0, 0.0]]), cell=0.05)
+
+
+@pytest.mark.parametrize("tile", [0, 1.5, -3, True])
+def test_a_tile_has_whole_cells(tmp_path, tile):
+    io.write_cloud(tmp_path / "a.laz", street(n=50))
+    with pytest.raises(ValueError, match=r"Invalid tile .*\. Must be a whole number >= 1\."):
+        maps.map_campaign([tmp_path / "a.laz"], tmp_path / "run", tile=tile)
+    assert not (tmp_path / "run").exists()
+
+
+# Cells that a million metres is a multiple of, so that a shift moves no border.
+CELLS = st.sampled_from([0.05, 0.1, 0.16, 0.2, 0.25, 0.5, 0.8, 1.0])
+
+
+@st.composite
+def in_steps(draw):
+    """Points on whole centimetres or millimetres, as files have them; some coincide."""
+    step = draw(st.sampled_from([0.001, 0.01]))
+    seed, n = draw(st.integers(0, 2**32 - 1)), draw(st.integers(1, 400))
+    high = [int(1.3 / step), int(0.7 / step), int(0.02 / step)]
+    return np.random.default_rng(seed).integers([0, 0, 0], high, (n, 3), endpoint=True) * step
+
+
+def equal(found, expected, shift=(0.0, 0.0)):
+    """Assert that two maps have the same cells and figures."""
+    for axis, off in zip("xy", shift, strict=True):
+        np.testing.assert_allclose(found[axis] - off, expected[axis], atol=1e-6)
+    for name in maps.FIGURES:
+        limit = 0 if name in ("n", "coincident") else 2e-5
+        np.testing.assert_allclose(
+            found[name].values, expected[name].values, atol=limit, rtol=0, err_msg=name
+        )
+
+
+@settings(max_examples=60, deadline=None)
+@given(in_steps(), CELLS, st.integers(-10, 10), st.integers(-10, 10), st.randoms())
+def test_order_and_shift_do_not_matter(points, cell, east, north, random):
+    expected = maps.map_cloud(points, cell=cell, radius=0.3)
+    assert int(expected["n"].sum()) == len(points)
+    order = random.sample(range(len(points)), len(points))
+    equal(maps.map_cloud(points[order], cell=cell, radius=0.3), expected)
+    shift = np.array([1e6 * east, 1e6 * north, 1e5])
+    # as a reader of LAS does it: whole steps times scale, plus offset
+    equal(maps.map_cloud(points + shift, cell=cell, radius=0.3), expected, shift[:2])
+
+
+@settings(max_examples=15, deadline=None)
+@given(in_steps(), CELLS, st.integers(0, 10), st.sampled_from([1, 3, 128]), st.booleans())
+def test_tiles_and_repeated_files_do_not_matter(points, cell, east, tile, together):
+    points = points + [1e6 * east, 5e6, 100.0]
+    with tempfile.TemporaryDirectory() as name, mock.patch.object(
+        maps, "ENOUGH", 100 if together else 1
+    ):  # fmt: skip
+        folder = Path(name)
+        (folder / "dd").mkdir()
+        io.write_cloud(folder / "dd" / "a.laz", points)
+        written = io.read_cloud(folder / "dd" / "a.laz").points
+        os.symlink(folder / "dd" / "a.laz", folder / "link.laz")
+        shutil.copy(folder / "dd" / "a.laz", folder / "copy.laz")
+        again = pd.DataFrame(written[::-1], columns=list("xyz"))
+        again.to_csv(folder / "text.csv", index=False)
+        files = [folder / one for one in ("dd/a.laz", "dd", "link.laz", "copy.laz", "text.csv")]
+        run = maps.map_campaign(files, folder / "run", cell=cell, radius=0.3, tile=tile)
+        found = maps.open_map(run)
+    equal(found, maps.map_cloud(written, cell=cell, radius=0.3))
+    assert found.attrs["remarks"].count("counted once.") == 2
+
+
+def test_the_same_cloud_in_two_scales_counts_once(tmp_path):
+    points = street(n=3000)
+    io.write_cloud(tmp_path / "fine.laz", points, scale=0.0001)
+    io.write_cloud(tmp_path / "coarse.laz", points, scale=0.01)
+    io.write_cloud(tmp_path / "other.laz", street(seed=2, n=3000), scale=0.01)
+    names = ("fine.laz", "coarse.laz", "other.laz")
+    files = [tmp_path / name for name in names]
+    found = maps.open_map(maps.map_campaign(files, tmp_path / "run"))
+    assert int(found["n"].sum()) == 6000
+    assert "fine.laz has the points of" in found.attrs["remarks"]
+
+
+def test_remarks_tell_of_pairs_steps_units_and_coincident_points():
+    points = street(n=3000)
+    assert maps.map_cloud(points).attrs["remarks"] == ""
+    twice = np.vstack([points, points + [0, 0.0005, 0.001]])
+    assert "points come in pairs" in maps.map_cloud(twice).attrs["remarks"]
+    same = maps.map_cloud(np.vstack([points, points[:30]]))
+    assert "60 points (1.98 %) share their place" in same.attrs["remarks"]
+    assert int(same["coincident"].sum()) == 60
+    coarse = maps.map_cloud(Cloud(points, resolution=0.05)).attrs["remarks"]
+    assert "Coordinates are in steps of 50 mm: too coarse for sigma_MAD" in coarse
+    degrees = (points - [448000, 5411000, 0]) / [1e5, 1e5, 1] + [11.5, 48.1, 0]
+    with_unit = maps.map_cloud(degrees, cell=1e-5, radius=1e-5).attrs["remarks"]
+    assert "Coordinates look like degrees" in with_unit
+
+
+def test_a_map_with_missing_tiles_says_so(campaign, monkeypatch):
+    monkeypatch.setattr(maps, "ENOUGH", 1)
+    paths, folder = campaign
+    run = maps.map_campaign(paths, folder / "run", tile=2)
+    whole_map = maps.open_map(run)
+    next(run.rglob("tile_*.npy")).unlink()
+    assert "1 of 45 tiles are missing." in maps.open_map(run).attrs["remarks"]
+    maps.map_campaign(paths, run, tile=2)
+    equal(maps.open_map(run), whole_map)
 
 
 def test_summary_has_the_quantiles_of_the_cells():

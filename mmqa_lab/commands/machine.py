@@ -16,13 +16,14 @@ from typing import Annotated
 from cyclopts import App, CycloptsError, Parameter
 
 from mmqa_lab import __version__
+from mmqa_lab._checks import check_outputs
 
 __all__ = [
     "FIGURE_ENDINGS",
     "app",
     "as_json",
     "as_text",
-    "check_figure",
+    "check_ending",
     "progress",
     "run",
     "table",
@@ -61,7 +62,9 @@ def table(function):
     @functools.wraps(function)
     def command(*files, json=False, csv=None, report=None, **choices):
         inputs = _inputs([*files, *choices.values()], choices.get("out"))
-        _refuse_outputs(csv, report, choices.get("out"), inputs)
+        check_ending(csv, "file", (".csv",))
+        check_ending(report, "file", (".html",))
+        check_outputs([one for one in (csv, report, choices.get("out")) if one], inputs)
         frame = function(*files, **choices)
         if csv is not None:
             from mmqa_lab.io import write_atomically
@@ -90,17 +93,6 @@ def _inputs(given, out):
     """The texts and paths that a command was given, other than its output."""
     listed = [one for value in given for one in (value if isinstance(value, list) else [value])]
     return [str(one) for one in listed if one is not out and isinstance(one, str | Path)]
-
-
-def _refuse_outputs(csv, report, out, inputs):
-    """Raise before any work if an output has a wrong ending or is an input."""
-    for path, ending in ((csv, ".csv"), (report, ".html"), (out, "")):
-        if path is None:
-            continue
-        if ending and (path.suffix.lower() != ending or path.is_dir()):
-            raise ValueError(f"Invalid file {path}. Must end in {ending}.")
-        if str(path) in inputs:
-            raise ValueError(f"Invalid output {path}: it is an input. Must be another file.")
 
 
 def _write_report(page, command, frame, inputs, out):
@@ -195,10 +187,10 @@ def progress(items, unit):
     return tqdm(items, unit=unit, disable=None, leave=False)
 
 
-def check_figure(path):
-    """Raise before any work if a figure has a wrong ending."""
-    if path is not None and path.suffix.lower() not in FIGURE_ENDINGS:
-        raise ValueError(f"Invalid figure {path}. Must end in {', '.join(FIGURE_ENDINGS)}.")
+def check_ending(path, name, endings):
+    """Raise before any work if an output has a wrong ending."""
+    if path is not None and path.suffix.lower() not in endings:
+        raise ValueError(f"Invalid {name} {path}. Must end in {', '.join(endings)}.")
 
 
 def write_figure(path, draw):

@@ -11,7 +11,13 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from mmqa_lab.commands.machine import check_figure, progress, table, write_figure
+from mmqa_lab.commands.machine import (
+    FIGURE_ENDINGS,
+    check_ending,
+    progress,
+    table,
+    write_figure,
+)
 
 
 @table
@@ -65,7 +71,7 @@ def evaluate(
 
     from mmqa_lab import chart_cloud, io
 
-    check_figure(out)
+    check_ending(out, "figure", FIGURE_ENDINGS)
     rows = []
     for file in progress(clouds, "cloud"):
         cloud = io.read_cloud(file, columns=())
@@ -103,11 +109,11 @@ def map_(
     """
     from mmqa_lab import maps
 
-    maps.check_ending(out)
+    check_ending(out, "map", maps.ENDINGS)
     folder = maps.map_campaign(clouds, out.with_suffix(".run"), cell=cell)
     dataset = maps.open_map(folder)
-    maps.write_map(dataset, out)
-    return maps.summarise(dataset)
+    maps.write_map(out, dataset)
+    return maps.summarise(dataset).assign(remarks=dataset.attrs["remarks"])
 
 
 @table
@@ -370,6 +376,7 @@ def accuracy(
     """
     from mmqa_lab import io, test_field
 
+    check_ending(out, "file", (".csv",))
     points = io.read_cloud(cloud, columns=())
     if (reference is None) == (targets is None):
         raise ValueError("Invalid request. Must have either REFERENCE or --targets.")
@@ -434,8 +441,13 @@ def calibrate(
     import numpy as np
 
     from mmqa_lab import boresight, io
+    from mmqa_lab._checks import check_outputs
     from mmqa_lab.simulate import Trajectory
 
+    names = [f"{number}_{file.stem}.laz" for number, file in enumerate(drives, start=1)]
+    if out is not None and out.is_dir():
+        inputs = [one for one in (*drives, *trajectory, control, poles) if one is not None]
+        check_outputs([out / name for name in names], inputs)
     clouds = [io.read_cloud(file) for file in progress(drives, "cloud")]
     paths = [Trajectory.from_table(io.read_trajectory(file)) for file in trajectory]
     paths = paths * len(clouds) if len(paths) == 1 else paths
@@ -452,9 +464,9 @@ def calibrate(
         poles=None if poles is None else _targets(poles, kind="pole"),
         control=None if control is None else io.read_heights(control),
     )
-    for number, (file, cloud, path) in enumerate(zip(drives, clouds, paths, strict=True), start=1):
-        if out is not None:
-            io.write_cloud(out / f"{number}_{file.stem}.laz", found.correct(cloud, path))
+    if out is not None:
+        for name, cloud, path in zip(names, clouds, paths, strict=True):
+            io.write_cloud(out / name, found.correct(cloud, path))
     return found.to_frame()
 
 
@@ -532,7 +544,7 @@ def image(
 
     from mmqa_lab import chart_image, charts
 
-    check_figure(out)
+    check_ending(out, "figure", FIGURE_ENDINGS)
     choices = {
         "corners": None if corners is None else _corners(corners),
         "panorama": panorama,

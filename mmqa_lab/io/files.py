@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pandas as pd
 
+from mmqa_lab._checks import check_kind
+
 __all__ = ["plain_text", "reading", "write_atomically"]
 
 # Bytes at the beginning of a text file that tell its letters.
@@ -33,6 +35,8 @@ def write_atomically(path: str | os.PathLike, write: Callable | str | pd.DataFra
     ------
     OSError
         If no file can be made there, or something is there that is no file, as a device.
+    ValueError
+        If a file is there that is of another kind than the ending says.
 
     Examples
     --------
@@ -43,8 +47,7 @@ def write_atomically(path: str | os.PathLike, write: Callable | str | pd.DataFra
     ['f.txt']
     """
     path = Path(path).resolve()
-    if path.exists() and not path.is_file():
-        raise OSError(f"Invalid file {path}: a folder or device. Must be a file.")
+    check_kind(path)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
