@@ -67,8 +67,8 @@ def check_points(points, *, name="points", columns=3, minimum=1):
     if len(values) < minimum:
         raise ValueError(f"Invalid {name}: {len(values)} given. Must be {minimum} or more.")
     values = values.astype(np.float64, copy=False)
-    bad = ~np.isfinite(values).all(axis=1)
-    if bad.any():
+    if not np.isfinite(values).all():
+        bad = ~np.isfinite(values).all(axis=1)
         count = f"{bad.sum()} of {len(values)} not finite, the first in row {np.argmax(bad)}"
         raise ValueError(f"Invalid {name}: {count}. Must be finite coordinates.")
     return values

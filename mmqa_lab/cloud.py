@@ -284,9 +284,9 @@ def sort_into_cells(points: np.ndarray, size: float) -> tuple[np.ndarray, ...]:
     ([1, 0, 2], [0, 1, 3], [[0, 0], [1, 0]])
     """
     index = cells_of(points, size)
-    low = index.min(axis=0)
+    low = np.array([column.min() for column in index.T])
     index -= low
-    wide = index.max(axis=0) + 1
+    wide = np.array([column.max() for column in index.T]) + 1
     if np.prod(wide.astype(float)) > 2.0**62:
         raise ValueError(f"Invalid cell size {size}. Must be larger for a cloud as wide as this.")
     key = np.ravel_multi_index(tuple(index.T), tuple(wide))

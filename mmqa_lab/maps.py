@@ -140,14 +140,15 @@ def _evaluated(points, index, inner, cell, radius):
     order, starts, cells = sort_into_cells(index[inner], 1)
     starts, counts = starts[:-1], np.diff(starts)
     group = np.repeat(np.arange(len(cells)), counts)
+    rows = np.flatnonzero(inner)[order]
     local = points[:, :2] - cells[0] * cell
-    distances = quadrant_distances(local, radius=radius, of=inner)[inner][order]
-    own = points[inner][order]
+    distances = quadrant_distances(local, radius=radius, of=inner).T[:, rows]
+    own = points.T[:, rows]
     deviations = _deviations(own, starts, counts, group)
     off = np.abs(deviations - _medians(deviations, group)[group])
     sigma = np.where(counts >= MINIMUM, CONSISTENT_SCALE * _medians(off, group), np.nan)
-    d = [_medians(distances[:, k], group) for k in range(4)]
-    missing = np.add.reduceat(np.isnan(distances[:, 3]).astype(float), starts)
+    d = [_medians(distance, group) for distance in distances]
+    missing = np.add.reduceat(np.isnan(distances[3]).astype(float), starts)
     same = np.add.reduceat(_coincident(own), starts)
     lengths = [1000 * length for length in (*d, sigma)]
     figures = counts, counts / cell**2, *lengths[:4], d[3] / d[0], missing / counts
@@ -159,21 +160,22 @@ def _medians(values, group):
     return pd.Series(values).groupby(group).median().to_numpy()
 
 
-def _deviations(points, starts, counts, group):
+def _deviations(xyz, starts, counts, group):
     """Signed distances from the regression planes of the groups, m."""
-    local = np.ascontiguousarray((points - points[starts][group]).T)
+    local = xyz - xyz[:, starts][:, group]
     local -= (np.add.reduceat(local, starts, axis=1) / counts)[:, group]
     squares = [np.add.reduceat(a * b, starts) for a in local for b in local]
     normals = np.linalg.eigh(np.reshape(squares, (3, 3, -1)).T)[1][:, :, 0]
     return (local * normals.T[:, group]).sum(axis=0)
 
 
-def _coincident(points):
+def _coincident(xyz):
     """1 for a point with the three coordinates of another one, else 0."""
-    bits = (points + 0.0).view(np.uint64)  # of zeros both signs are one place
-    key = (bits * np.array([3, 5, 7], dtype=np.uint64) ** 20).sum(axis=1)
+    x, y, z = (xyz + 0.0).view(np.uint64)  # of zeros both signs are one place
+    key = x * np.uint64(3**20) + y * np.uint64(5**20) + z * np.uint64(7**20)
     listed = np.sort(key)
-    return np.isin(key, listed[1:][listed[1:] == listed[:-1]]).astype(int)
+    twice = listed[1:][listed[1:] == listed[:-1]]
+    return np.isin(key, twice).astype(int) if len(twice) else np.zeros(len(key), dtype=int)
 
 
 def _dataset(table, run):
@@ -455,11 +457,17 @@ def _map_tile(own, place, near, run):
         for name, start, stop in near
     ]).reshape(-1, 3)  # fmt: skip
     index = cells_of(points[:, :2], cell)
-    around = ((index >= first - reach) & (index < first + run["side"] + reach)).all(axis=1)
+    around = _within(index, first - reach, first + run["side"] + reach)
     points, index = points[around], index[around]
-    inner = ((index >= first) & (index < first + run["side"])).all(axis=1)
+    inner = _within(index, first, first + run["side"])
     table = _evaluated(points, index, inner, cell, run["radius"])
     write_atomically(_tile(own, place, run), lambda path: np.save(path, table))
+
+
+def _within(index, low, high):
+    """Whether places lie in a rectangle."""
+    columns, rows = index.T
+    return (columns >= low[0]) & (columns < high[0]) & (rows >= low[1]) & (rows < high[1])
 
 
 def open_map(folder: str | os.PathLike) -> xr.Dataset:

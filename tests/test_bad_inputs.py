@@ -74,7 +74,7 @@ COMMANDS = [
     ("evaluate PATCH --polygon '0,0,0; 1,1,0; 1,0,0; 0,1,0'", "Must be an outline that encloses"),
     ("evaluate PATCH --polygon bent.csv", "Must be at most 50 mm, half of the thickness."),
     ("map folder --out m.nc", "Must contain .las or .laz files."),
-    ("map PATCH --out m.docx", "'.docx'. Must be one of .nc, .tif."),
+    ("map PATCH --out m.docx", "Invalid map m.docx. Must end in .nc, .tif."),
     ("map PATCH --out m.nc --cell 0", "Invalid cell 0.0. Must be > 0 m."),
     ("plan --scanner vq-450 --speed 0 --range 5", "Invalid speed_m_s 0.0. Must be > 0"),
     (f"{PLAN} --sigma speed", "Must be like speed_m_s=0.2."),
