@@ -278,7 +278,8 @@ def map_campaign(
     if kept:
         count = len(kept["tiles"])
         there = count - len(_missing(own, kept))
-        print(f"{folder}: {there} of {count} tiles are there.", file=sys.stderr)
+        if there:
+            print(f"{folder}: {there} of {count} tiles are there.", file=sys.stderr)
         if there == count:
             return Path(folder)
     try:
