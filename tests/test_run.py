@@ -12,6 +12,7 @@ from conftest import spoiled
 from overlaps import overlapping_texts
 
 from mmqa_lab import plots
+from mmqa_lab.published import ledger
 from mmqa_lab.run import Run, parameter_names, read_record, verdict
 from mmqa_lab.studies import STUDIES
 
@@ -96,6 +97,18 @@ def test_checks_report_and_never_raise(run, capsys):
     assert verdict(read_record(run.folder)) == "stopped before its end"
     run.finish()
     assert verdict(read_record(run.folder)) == "0 of 2 checks passed"
+
+
+def test_a_check_that_compares_with_print_reads_the_ledger(run):
+    rows = [
+        {"cell": "A 5 m d1", "value": 4.2, "low": 3.9, "high": 4.5, "kind": "measured"},
+        {"cell": "A 5 m d4", "value": 99.0, "low": 98.0, "high": 99.5, "kind": "fitted"},
+    ]
+    run.save_ledger(ledger.entries(rows, source="pfeifer2021", table="table_2"))
+    assert run.agrees("pfeifer2021 table_2 A 5 m d1")
+    assert not run.agrees("pfeifer2021 table_2 A 5 m d1", "pfeifer2021 table_2 A 5 m d4")
+    with pytest.raises(KeyError, match="A 9 m d1"):
+        run.agrees("pfeifer2021 table_2 A 9 m d1")
 
 
 def test_what_is_saved_again_leaves_nothing_of_before(run):

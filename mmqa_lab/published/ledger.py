@@ -6,8 +6,10 @@ cells and gives each one a verdict:
 
 - **reproduced**: our value rounds to what is printed, and no parameter was fitted to it;
 - **consistent**: our 95 % interval meets the rounding interval of the printed number, or our value
-  satisfies what is printed as a bound, a range or with "about";
-- **differs**: neither; the note gives the argument;
+  satisfies what is printed as a bound, a range or with "about"; no parameter was fitted to it;
+- **fitted**: our value or interval meets the printed number, and a parameter was fitted to the
+  source's numbers: this shows that a model can give the number, not that it does;
+- **differs**: our value or interval does not meet it; the note gives the argument;
 - **not comparable**: there is no value of ours; the note gives the reason, by default that of
   ``data/reasons.csv``;
 - **not run**: there is no value, because the study that answers this table did not finish.
@@ -29,11 +31,11 @@ import pandas as pd
 from mmqa_lab import published
 from mmqa_lab._checks import check_choice
 
-__all__ = ["cells", "collect", "entries", "summary", "verdict"]
+__all__ = ["cells", "collect", "entries", "summary", "verdict", "verdicts"]
 __dir__ = __all__.copy
 
 KINDS = ("predicted", "measured", "fitted")
-VERDICTS = ("reproduced", "consistent", "differs", "not comparable", "not run")
+VERDICTS = ("reproduced", "consistent", "fitted", "differs", "not comparable", "not run")
 NUMBER = ("relation", "printed", "value", "low", "high")
 CELL = ["source", "table", "cell"]
 COLUMNS = [*CELL, "value", "low", "high", "kind", "note"]
@@ -118,8 +120,8 @@ def verdict(printed: Mapping, ours: Mapping) -> str:
         ``relation``, ``low``, ``high`` of a row of :func:`cells`. An interval with one infinite
         end is open at the other; others are closed.
     ours : mapping
-        ``value``, ``low``, ``high`` of an entry; the value stands for an end that is NaN. With a
-        ``kind`` of fitted it is consistent at most: a fit is no reproduction.
+        ``value``, ``low``, ``high`` of an entry; the value stands for an end that is NaN. What
+        agrees with a ``kind`` of fitted is fitted: a fit is no reproduction.
 
     Returns
     -------
@@ -137,16 +139,18 @@ def verdict(printed: Mapping, ours: Mapping) -> str:
     >>> verdict(width, {"value": 17.0, "low": 16.2, "high": 17.8})
     'differs'
     """
+    value, fitted = ours["value"], ours.get("kind") == "fitted"
     if np.isnan(printed["low"]):
-        return "reproduced" if np.isnan(ours["value"]) else "differs"
-    if np.isnan(ours["value"]):
+        return "differs" if not np.isnan(value) else "fitted" if fitted else "reproduced"
+    if np.isnan(value):
         return "not comparable"
-    value = ours["value"]
-    if _meets(printed, value, value):
-        free = printed["relation"] == "=" and ours.get("kind") != "fitted"
-        return "reproduced" if free else "consistent"
     low, high = (value if np.isnan(ours[end]) else ours[end] for end in ("low", "high"))
-    return "consistent" if _meets(printed, low, high) else "differs"
+    equal = _meets(printed, value, value)
+    if not equal and not _meets(printed, low, high):
+        return "differs"
+    if fitted:
+        return "fitted"
+    return "reproduced" if equal and printed["relation"] == "=" else "consistent"
 
 
 def collect(folder: str | os.PathLike, *, not_run: Collection[str] = ()) -> pd.DataFrame:
@@ -187,6 +191,33 @@ def collect(folder: str | os.PathLike, *, not_run: Collection[str] = ()) -> pd.D
     ledger["note"] = ledger["note"].fillna("").where(~silent, ledger["reason"])
     ledger["decides"] = ~ledger.duplicated(CELL)
     return ledger.fillna({"kind": "", "study": ""}).drop(columns=["reason", "rank"])
+
+
+def verdicts(rows: pd.DataFrame) -> pd.Series:
+    """Return the verdict on each row of a study's entries, by the name of its cell.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        Of :func:`entries`.
+
+    Returns
+    -------
+    Series of str
+
+    Examples
+    --------
+    >>> d1 = {"cell": "A 5 m d1", "value": 4.2, "low": 3.9, "high": 4.5}
+    >>> table = entries([d1], source="pfeifer2021", table="table_2", kind="measured")
+    >>> verdicts(table).to_dict()
+    {'pfeifer2021 table_2 A 5 m d1': 'reproduced'}
+    """
+    printed, ours = _cells().set_index(CELL), rows.set_index(CELL)
+    found = {
+        " ".join(place): verdict(printed.loc[place], row)
+        for place, row in zip(ours.index, ours.to_dict("records"), strict=True)
+    }
+    return pd.Series(found, dtype=object)
 
 
 def summary(ledger: pd.DataFrame) -> pd.DataFrame:

@@ -21,6 +21,7 @@ from mmqa_lab import __version__
 from mmqa_lab._figures import finish_figure, say_kind
 from mmqa_lab.bench import heading
 from mmqa_lab.io import write_atomically
+from mmqa_lab.published.ledger import entries, verdicts
 
 __all__ = ["Run"]
 __dir__ = __all__.copy
@@ -181,15 +182,35 @@ class Run:
         self._record["checks"] = list(self._checks.values())
         self._write("checks.csv", pd.DataFrame(self._record["checks"]))
 
-    def save_ledger(self, entries: pd.DataFrame | list[dict[str, Any]]) -> None:
+    def save_ledger(self, rows: pd.DataFrame | list[dict[str, Any]]) -> None:
         """Write the study's values beside printed results as ``ledger.csv``.
 
         Parameters
         ----------
-        entries : DataFrame or list of dict
+        rows : DataFrame or list of dict
             From :func:`mmqa_lab.published.ledger.entries`.
         """
-        self._write("ledger.csv", pd.DataFrame(entries))
+        self._write("ledger.csv", pd.DataFrame(rows))
+
+    def agrees(self, *cells: str) -> bool:
+        """Return whether the ledger says of no printed cell that ours differs.
+
+        A check that compares with print reads this verdict and has none of its own.
+
+        Parameters
+        ----------
+        *cells : str
+            Source, table and name of cells in :meth:`save_ledger`, which comes first, such as
+            ``"pfeifer2021 table_2 A 5 m d1"``.
+
+        Raises
+        ------
+        KeyError
+            If the ledger of this study has no such cell.
+        """
+        file = self.folder / "ledger.csv"
+        found = verdicts(entries(pd.read_csv(file)))
+        return all(found[cell] != "differs" for cell in cells)
 
     def finish(self) -> None:
         """Mark the run as complete in its record."""

@@ -70,8 +70,10 @@ def _write_ledger(folder, studies, quick):
     rows["printed"] += " " + rows["unit"]
     ours = ours + " (" + low + " to " + high + ")"
     rows["ours"] = ours.str.replace(r" \(.*nan.*\)|nan", "", regex=True)
+    decided = rows[rows["decides"] & (rows["role"] == "result")]
+    zeros = int(((decided["verdict"] == "reproduced") & (decided["value"] == 0)).sum())
     shown = rows[LEDGER if quick else ["verdict", *LEDGER]].to_html(index=False, border=0)
-    page = filled("ledger.html", counts=counts, table=shown)
+    page = filled("ledger.html", counts=counts, zeros=zeros, table=shown)
     write_atomically(folder / "ledger.html", page)
     return counts
 

@@ -107,9 +107,9 @@ def _store_figure(path, target, width):
 def _store_ledger(counts, target):
     """Draw the verdicts on the results of each source as stacked bars."""
     with plots.style():
-        names = ("green", "sky", "vermilion", "grey", "black")
+        names = ("green", "sky", "orange", "vermilion", "grey", "black")
         bars = {"stacked": True, "color": [plots.COLOURS[name] for name in names]}
         ax = counts.drop(index="all")[::-1].plot.barh(figsize=(7, 2.4), **bars)
         ax.set(xlabel="printed numbers", ylabel="")
-        ax.legend(ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+        ax.legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
         write_atomically(target, lambda file: ax.figure.savefig(file, dpi=120))
