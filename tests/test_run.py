@@ -111,6 +111,19 @@ def test_a_check_that_compares_with_print_reads_the_ledger(run):
         run.agrees("pfeifer2021 table_2 A 9 m d1")
 
 
+def test_an_answer_is_made_of_values_that_a_paper_can_quote(run):
+    run.save_answer(
+        "At 5 m {speed_kmh:.0f} km/h.", figure="speeds", kind="predicted", speed_kmh=54.2
+    )
+    answer = read_record(run.folder)["answer"]
+    assert answer["sentence"] == "At 5 m 54 km/h."
+    assert answer["thumbnail"] == "speeds"
+    assert pd.read_csv(run.folder / "values.csv").values.tolist() == [
+        ["speed_kmh", 54.2, "km/h", "predicted"]
+    ]
+    assert "mmqaSpeedKmh}{54.2}" in (run.folder / "values.tex").read_text()
+
+
 def test_what_is_saved_again_leaves_nothing_of_before(run):
     run.save_table(pd.DataFrame({"f": [3.257], "kind": ["predicted"]}), "planes")
     run.save_table(pd.DataFrame({"f": range(99), "kind": "measured"}), "planes")

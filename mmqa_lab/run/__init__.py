@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 
 from mmqa_lab import __version__
 from mmqa_lab._figures import finish_figure, say_kind
-from mmqa_lab.bench import heading
+from mmqa_lab.bench import heading, split_unit
 from mmqa_lab.io import write_atomically
 from mmqa_lab.published.ledger import entries, verdicts
 
@@ -153,13 +153,36 @@ class Run:
         self._write("values.csv", pd.DataFrame(list(self._values.values())))
         self._write("values.tex", "\n".join(_macro(**kept) for kept in self._values.values()))
 
-    def save_answer(self, sentence: str, *, figure: str) -> None:
-        """Keep the study's answer and the name of the figure that shows it.
+    def save_answer(
+        self, sentence: str, *, figure: str, kind: str = "", thumbnail: str = "", **numbers: float
+    ) -> None:
+        """Keep the study's answer, its numbers, and the names of the figures that show it.
 
-        The index page and :mod:`mmqa_lab.run.store` take both from the run record.
+        The index page and :mod:`mmqa_lab.run.store` take them from the run record.
+
+        Parameters
+        ----------
+        sentence : str
+            With a place for each number, such as ``"At 5 m {speed_kmh:.0f} km/h."``
+        figure : str
+            The figure that shows the numbers.
+        kind : str
+            The kind of the numbers, one of ``KINDS``.
+        thumbnail : str
+            A figure that shows what the study is about; by default ``figure``.
+        **numbers : float
+            Each is saved as a value too, so that a paper can quote it. The end of its name gives
+            the unit.
         """
-        spaced = re.sub(r"(?<=\d)%", " %", sentence)
-        self._record["answer"] = {"sentence": spaced, "figure": figure}
+        for name, number in numbers.items():
+            self.save_value(name, number, split_unit(name)[1] or "1", kind)
+        spaced = re.sub(r"(?<=\d)%", " %", sentence.format(**numbers) if numbers else sentence)
+        self._record["answer"] = {
+            "sentence": spaced,
+            "figure": figure,
+            "thumbnail": thumbnail or figure,
+            "values": list(numbers),
+        }
         write_record(self.folder, self._record)
 
     def check(self, statement: str, passed: bool, obtained: str, reason: str) -> None:
@@ -243,7 +266,7 @@ def new_record(folder):
     before = read_record(folder)
     for left in [*folder.glob(".*.*"), *map(folder.joinpath, before.get("files", []))]:
         left.unlink(missing_ok=True)
-    answer = {"sentence": "", "figure": ""}
+    answer = {"sentence": "", "figure": "", "thumbnail": "", "values": []}
     record = {"quick": before.get("quick", False), "failure": UNFINISHED, "seconds": 0.0}
     return record | {"answer": answer, "checks": [], "files": [], "figures": {}}
 

@@ -19,8 +19,8 @@ from mmqa_lab.published.ledger import collect, summary
 from mmqa_lab.run import read_record
 from mmqa_lab.run.pages import ANSWERS
 
-# Widths of stored figures, which is 178 mm at 100 dpi, and of thumbnails.
-WIDTH_PX, THUMBNAIL_PX = 700, 280
+# Widths of stored figures, which is 178 mm at 143 dpi, and of thumbnails.
+WIDTH_PX, THUMBNAIL_PX = 1000, 280
 
 # The first figure of the README, in the folder of results.
 KEY_FIGURE = "anisotropy/patterns.png"
@@ -56,7 +56,7 @@ def store(notebooks, folder, studies):
             raise ValueError(f"Invalid results of {study.stem}: the notebook changed. Must be run.")
         text = nbformat.writes(_lightened(ran, plain)).replace(str(folder), "results")
         write_atomically(study.path, text + "\n")
-        if figure := record["answer"]["figure"]:  # a tool has none
+        if figure := record["answer"]["thumbnail"]:  # a tool has none
             answers[study.stem] = record["answer"]["sentence"]
             thumbnail = notebooks / "thumbnails" / f"{study.notebook}.png"
             _store_figure(folder / study.stem / f"{figure}.png", thumbnail, THUMBNAIL_PX)
