@@ -1,9 +1,9 @@
 """Maps of quality figures in square cells, for a cloud in memory or for a campaign in tiles.
 
-Each cell has the figures of a chart: density, spacings d1..d4, f, and sigma_MAD about the plane of
-its points. :func:`map_cloud` maps a cloud. :func:`map_campaign` maps files tile by tile on Dask,
-and :func:`open_map` opens the map. The figures do not depend on the size of the tiles.
-``dataset["f"].plot()`` draws a figure.
+Each cell has the figures of a chart: density, spacings d1..d4, f, the empty-space distance e95, and
+sigma_MAD about the plane of its points. :func:`map_cloud` maps a cloud. :func:`map_campaign` maps
+files tile by tile on Dask, and :func:`open_map` opens the map. The figures do not depend on the
+size of the tiles. ``dataset["f"].plot()`` draws a figure.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from mmqa_lab.chart_cloud import COARSE_MM, PAIRS
 from mmqa_lab.cloud import cells_of, sort_into_cells, unit_remarks
 from mmqa_lab.io import LAS_ENDINGS, iterate_cloud, write_atomically
 from mmqa_lab.planes import CONSISTENT_SCALE
-from mmqa_lab.spacing import quadrant_distances
+from mmqa_lab.spacing import STEPS, quadrant_distances
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -50,6 +50,7 @@ FIGURES = {
     "d3": ("mm", "median distance to the third of them"),
     "d4": ("mm", "median distance to the farthest of them"),
     "f": ("1", "inhomogeneity d4 / d1"),
+    "e95": ("mm", "95 % of the places in the cell lie within this distance of a point"),
     "incomplete_share": ("1", "share of points with an empty quadrant within the radius"),
     "sigma_mad": ("mm", "1.4826 x median absolute deviation from the plane of the cell's points"),
     "coincident": ("1", "points in the place of another one: they raise the density"),
@@ -61,6 +62,10 @@ ENDINGS = (".nc", ".tif")
 
 # Fewest points for the sigma_MAD of a cell. A plane fits fewer points too closely.
 MINIMUM = 10
+
+# Places of a cell from which the nearest point is sought for e95: as evenly as in ``spacing``. The
+# last but one stands for 95 % of them.
+PLACES = np.outer(np.arange(1, 31), STEPS) % 1
 
 # Most cells in the rectangle of a map, 8 GB: 5 km x 5 km for cells of half a metre.
 MOST_CELLS = 1e8
@@ -150,14 +155,25 @@ def _evaluated(points, index, inner, cell, radius):
     d = [_medians(distance, group) for distance in distances]
     missing = np.add.reduceat(np.isnan(distances[3]).astype(float), starts)
     same = np.add.reduceat(_coincident(own), starts)
-    lengths = [1000 * length for length in (*d, sigma)]
-    figures = counts, counts / cell**2, *lengths[:4], d[3] / d[0], missing / counts
-    return np.column_stack([cells, *figures, lengths[4], same])
+    e95 = _empty_space(local, (cells - cells[0])[:, None] + PLACES, cell, radius)
+    *d_mm, e95_mm, sigma_mm = (1000 * length for length in (*d, e95, sigma))
+    figures = counts, counts / cell**2, *d_mm, d[3] / d[0], e95_mm, missing / counts
+    return np.column_stack([cells, *figures, sigma_mm, same])
 
 
 def _medians(values, group):
     """Median of each group without its NaN; NaN for a group without numbers."""
     return pd.Series(values).groupby(group).median().to_numpy()
+
+
+def _empty_space(xy, places, cell, radius):
+    """e95 of cells with places, shape (cells, places, 2), m; NaN beyond the radius."""
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(xy, balanced_tree=False, compact_nodes=False)
+    away = tree.query(cell * places, [1], distance_upper_bound=radius)[0]
+    e95 = np.partition(away[:, :, 0], -2, axis=1)[:, -2]
+    return np.where(np.isfinite(e95), e95, np.nan)
 
 
 def _deviations(xyz, starts, counts, group):
@@ -190,9 +206,8 @@ def _dataset(table, run):
         whole = np.full((rows.max() + 1, columns.max() + 1), 0 if name == "n" else np.nan)
         whole[rows, columns] = values
         data[name] = (("y", "x"), whole, {"units": unit, "long_name": meaning})
-    x, y = ((place + np.arange(size) + 0.5) * cell for place, size in zip(
-        first, whole.shape[::-1], strict=True))  # fmt: skip
-    axes = {"y": ("y", y, {"units": "m"}), "x": ("x", x, {"units": "m"})}
+    places = {"y": first[1] + np.arange(len(whole)), "x": first[0] + np.arange(len(whole[0]))}
+    axes = {name: (name, (place + 0.5) * cell, {"units": "m"}) for name, place in places.items()}
     medians = pd.DataFrame(table[:, 2:], columns=list(FIGURES)).median()
     same = np.nansum(data["coincident"][1]), data["n"][1].sum()
     remarks = [*run["remarks"], *_remarks(medians, 1000 * run["step"], *same)]
@@ -202,23 +217,16 @@ def _dataset(table, run):
 
 def _remarks(medians, step_mm, same, count):
     """What speaks against the figures of a map."""
-    coarse = [f"sigma_MAD {medians.sigma_mad:.3g} mm"] * int(step_mm > medians.sigma_mad)
-    coarse += [f"d1 {medians.d1:.3g} mm"] * int(step_mm > medians.d1 / 5)
+    d1, d2, sigma = medians[["d1", "d2", "sigma_mad"]]
+    coarse = [f"sigma_MAD {sigma:.3g} mm"] * (step_mm > sigma)
+    coarse += [f"d1 {d1:.3g} mm"] * (step_mm > d1 / 5)
+    steps = f"Coordinates are in steps of {step_mm:.3g} mm: too coarse for {' and '.join(coarse)}."
+    pairs = f"d2 is {d2 / d1:.0f} times d1: points come in pairs, as from two returns of a pulse"
+    share = f"{same:.0f} points ({100 * same / count:.3g} %) share their place with another"
     remarks = (
-        (
-            step_mm > COARSE_MM and coarse,
-            f"Coordinates are in steps of {step_mm:.3g} mm: too coarse for {' and '.join(coarse)}.",
-        ),
-        (
-            medians.d2 > PAIRS * medians.d1,
-            f"d2 is {medians.d2 / medians.d1:.0f} times d1: points come in pairs, as from two "
-            "returns of a pulse or from a repeated scan; density and f count both.",
-        ),
-        (
-            same,
-            f"{same:.0f} points ({100 * same / count:.3g} %) share their place with another: they "
-            "raise the density.",
-        ),
+        (step_mm > COARSE_MM and coarse, steps),
+        (d2 > PAIRS * d1, f"{pairs} or from a repeated scan; density and f count both."),
+        (same, f"{share}: they raise the density."),
     )
     return [sentence for holds, sentence in remarks if holds]
 

@@ -67,6 +67,20 @@ def test_cells_are_those_of_a_brute_force():
     assert int(dataset["n"].sum()) == len(points)
 
 
+def test_e95_of_lines_of_random_points_and_of_gaps():
+    x, y = np.meshgrid(np.arange(0, 6, 0.005), np.arange(0, 6, 0.04))
+    lines = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
+    inside = slice(2, -2)
+    e95 = maps.map_cloud(lines)["e95"][inside, inside]
+    assert float(e95.mean()) == pytest.approx(19, rel=0.05)  # 95 % of half the gap
+    rng = np.random.default_rng(3)
+    points = rng.uniform([0, 0, 0], [20, 20, 0.01], (400 * 200, 3))
+    e95 = maps.map_cloud(points)["e95"][inside, inside]
+    assert float(e95.mean()) == pytest.approx(1000 * np.sqrt(np.log(20) / np.pi / 200), rel=0.05)
+    bare = points[np.abs(points[:, 0] - 10.25) > 1.15]
+    assert np.isnan(maps.map_cloud(bare, radius=0.3)["e95"].sel(x=9.25, y=10.25))
+
+
 @pytest.fixture
 def campaign(tmp_path):
     """Two files of one street."""
@@ -128,11 +142,32 @@ def test_a_lost_worker_costs_nothing(campaign):
 
     paths, folder = campaign
     options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": ":0"}
-    with LocalCluster(**options) as cluster, Client(cluster) as client:
+    with LocalCluster(**options) as cluster, Client(cluster.scheduler_address) as client:
         victim = next(iter(cluster.workers.values())).process.process
         os.kill(victim.pid, signal.SIGKILL)
         run = maps.map_campaign(paths, folder / "run", cell=0.5, tile=4, client=client)
     assert int(maps.open_map(run)["n"].sum()) == 6000
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such terminals")
+def test_a_terminal_shows_progress_and_a_second_run_what_is_there(campaign):
+    import pty
+
+    paths, folder = campaign
+    command = [sys.executable, "-m", "mmqa_lab", "map", *paths, "--out", folder / "m.nc"]
+    shown = []
+    for _ in range(2):
+        ours, theirs = pty.openpty()
+        os.set_blocking(ours, False)
+        done = subprocess.run(command, stdout=subprocess.PIPE, stderr=theirs, check=True)
+        shown.append(os.read(ours, 100_000).decode())
+        os.close(theirs)
+        os.close(ours)
+    assert "files: " in shown[0]
+    assert "tiles: " in shown[0]
+    assert "m.run: 1 of 1 tiles are there." in shown[1]
+    assert "points/m2" in done.stdout.decode()
+    assert "Coordinates are in steps of 1 mm" in done.stdout.decode()
 
 
 def test_maps_are_written_as_netcdf_and_geotiff(tmp_path):
