@@ -73,6 +73,9 @@ MOST_CELLS = 1e8
 # Points are sorted into tiles of this side, m, which are joined until one has so many points.
 TILE_M, ENOUGH = 8.0, 100_000
 
+# A bar on a terminal only, of a size of its own: some terminals say that theirs is zero.
+BAR = {"disable": None, "leave": False, "ncols": 80, "nrows": 24}
+
 # The folder of a campaign's own within a run folder, and the ending of its working files.
 OWN, WORKING = "mmqa_map", ".mmqa_points"
 
@@ -317,7 +320,7 @@ def _computed(function, tasks, unit, client):
     delayed = [dask.delayed(function)(*task) for task in tasks]
     if client is not None:
         return client.gather(client.compute(delayed))
-    with TqdmCallback(desc=unit, disable=None, leave=False):  # none without a terminal
+    with TqdmCallback(desc=unit, **BAR):
         return dask.compute(delayed, scheduler="threads")[0]
 
 

@@ -165,7 +165,7 @@ def test_a_terminal_shows_progress_and_a_second_run_what_is_there(campaign):
         os.close(ours)
     assert "files: " in shown[0]
     assert "tiles: " in shown[0]
-    assert "m.run: 1 of 1 tiles are there." in shown[1]
+    assert "m.run: 2 of 2 tiles are there." in shown[1]
     assert "points/m2" in done.stdout.decode()
     assert "Coordinates are in steps of 1 mm" in done.stdout.decode()
 

@@ -184,7 +184,7 @@ def progress(items, unit):
     """Go through items and show a progress bar on stderr if that is a terminal."""
     from tqdm import tqdm
 
-    return tqdm(items, unit=unit, disable=None, leave=False)
+    return tqdm(items, unit=unit, disable=None, leave=False, ncols=80, nrows=24)
 
 
 def check_ending(path, name, endings):
