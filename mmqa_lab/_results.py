@@ -30,8 +30,27 @@ class Shown:
         return pd.DataFrame([row])
 
     def _repr_html_(self):
-        """The table as HTML, four digits a number."""
+        """The table as HTML: four digits a number, three decimals of large coordinates."""
         frame = self.to_frame()
         if len(frame) == 1:
             frame = frame.T.rename(columns={frame.index[0]: type(self).__name__})
-        return frame.to_html(float_format="{:.4g}".format, max_rows=30)
+        return frame.to_html(float_format=_digits, max_rows=30)
+
+
+def sentences(*remarks):
+    """The sentences of (condition, sentence) whose condition holds; a sentence may be a function.
+
+    >>> sentences((True, "Few points."), (False, lambda: 1 / 0))
+    ['Few points.']
+    """
+    said = [sentence for applies, sentence in remarks if applies]
+    return [sentence() if callable(sentence) else sentence for sentence in said]
+
+
+def _digits(value):
+    """A number as text.
+
+    >>> _digits(0.0123456), _digits(452_123.4567), _digits(1e12)
+    ('0.01235', '452123.457', '1e+12')
+    """
+    return f"{value:.3f}" if 1e4 <= abs(value) < 1e9 else f"{value:.4g}"

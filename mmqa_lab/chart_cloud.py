@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from mmqa_lab import stats
 from mmqa_lab._checks import check_choice, check_number, check_points, check_polygon, check_positive
-from mmqa_lab._results import Shown
+from mmqa_lab._results import Shown, sentences
 from mmqa_lab.planes import CONSISTENT_SCALE, Plane, fit_plane, sigma_mad
 from mmqa_lab.spacing import (
     FEWEST,
@@ -197,7 +197,8 @@ class CloudQuality(Shown):
         -------
         DataFrame
             ``figure``, ``value``, ``low``, ``high``, ``unit``. NaN if not measurable. Fewer than
-            50 points give no interval.
+            50 points give no interval. Neither do d1..d4 and f along axes that are by chance, nor
+            e95.
 
         Notes
         -----
@@ -218,7 +219,7 @@ class CloudQuality(Shown):
 
         Examples
         --------
-        >>> points = np.random.default_rng(1).uniform(0, 1, (3000, 3)) * [1, 1, 0.01]
+        >>> points = np.random.default_rng(1).uniform(0, 1, (3000, 3)) * [2, 1, 0.01]
         >>> table = evaluate_cloud(points).intervals().set_index("figure")
         >>> table.index.tolist()
         ['density', 'std', 'sigma_mad', 'd1', 'd2', 'd3', 'd4', 'f', 'g', 'e95']
@@ -239,7 +240,10 @@ class CloudQuality(Shown):
         ]
         names = ["figure", "value", "low", "high", "unit"]
         empty = pd.DataFrame([("e95", self.e95_mm, np.nan, np.nan, "mm")], columns=names)
-        parts = [self.spacing.to_frame(), self.directional.to_frame().iloc[2:], empty]
+        spacing = self.spacing.intervals()
+        if _by_chance(self.xy, self.axes):
+            spacing[["low", "high"]] = np.nan
+        parts = [spacing, self.directional.intervals().iloc[2:], empty]
         parts = [pd.DataFrame(rows, columns=names), *(part[names] for part in parts)]
         return pd.concat(parts, ignore_index=True)
 
@@ -430,7 +434,7 @@ def evaluate_cloud(
     step_mm = 1000 * np.fmax.reduce([resolution, _step(points), np.spacing(np.abs(points).max())])
     remarks = _remarks_on_points(gaps, step_mm, sigma_mad_mm, hull.area, outline.area, axes)
     remarks += _remark_on_layers(1000 * plane.residuals, step_mm)
-    remarks += _remark_on_bend(xy, 1000 * plane.residuals, step_mm, scale)
+    remarks += _remark_on_form(xy, 1000 * plane.residuals, step_mm, scale)
     return CloudQuality(
         area_polygon_m2=np.nan if polygon is None else outline.area,
         area_hull_m2=float(hull.area),
@@ -536,45 +540,80 @@ def _remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
     d1_mm, d2_mm = 1000 * gaps.d[:2]
     away = np.hypot(*(gaps.xy - np.median(gaps.xy, axis=0)).T)
     far = away > FAR * np.quantile(away, 0.9)
-    share = 100 * gaps.coincident / gaps.n
-    narrow, wide = np.linalg.eigvalsh(np.cov(gaps.xy.T))
     coarse = [f"sigma_MAD {sigma_mm:.3g} mm"] * int(step_mm > sigma_mm)
     coarse += [f"d1 {d1_mm:.3g} mm"] * int(step_mm > d1_mm / 5)
-    sentences = {
-        f"Coordinates are in steps of {step_mm:.3g} mm: too coarse for {' and '.join(coarse)}.": (
-            step_mm > COARSE_MM and coarse
+    return sentences(
+        (
+            step_mm > COARSE_MM and coarse,
+            f"Coordinates are in steps of {step_mm:.3g} mm: too coarse for {' and '.join(coarse)}.",
         ),
-        f"{far.sum()} points lie far from the others, up to {away.max():.4g} m: they widen the "
-        "hull, which lowers its density, and turn the plane.": far.any(),
-        "No point has neighbours in all four quadrants within the search radius: d4 and f are "
-        "not measured.": gaps.incomplete_share == 1,
-        f"{gaps.coincident} points ({share:.3g} %) share their place with another: they raise the "
-        "density.": gaps.coincident > 0,
-        f"d2 is {d2_mm / d1_mm:.0f} times d1: points come in pairs, as from two returns of a pulse "
-        "or from a repeated scan; density and f count both.": d2_mm > PAIRS * d1_mm,
-        f"Fewer than {FEWEST} points: no confidence intervals.": gaps.n < FEWEST,
-        "Points spread alike in all directions: principal axes, and f, are by chance.": (
-            axes != "horizontal" and wide < ALIKE * narrow
+        (
+            far.any(),
+            f"{far.sum()} points lie far from the others, up to {away.max():.4g} m: they widen the "
+            "hull, which lowers its density, and turn the plane.",
         ),
-        f"Points lie on {100 * hull_m2 / max(outline_m2, 1e-300):.0f} % of the polygon: its "
-        "density counts the rest too.": outline_m2 > FULL * hull_m2,
-    }
-    return [sentence for sentence, applies in sentences.items() if applies]
+        (
+            gaps.incomplete_share == 1,
+            "No point has neighbours in all four quadrants within the search radius: d4 and f are "
+            "not measured.",
+        ),
+        (
+            gaps.coincident > 0,
+            f"{gaps.coincident} points ({100 * gaps.coincident / gaps.n:.3g} %) share their place "
+            "with another: they raise the density.",
+        ),
+        (
+            d2_mm > PAIRS * d1_mm,
+            lambda: (
+                f"d2 is {d2_mm / d1_mm:.0f} times d1: points come in pairs, as from two returns of "
+                "a pulse or from a repeated scan; density and f count both."
+            ),
+        ),
+        (gaps.n < FEWEST, f"Fewer than {FEWEST} points: no confidence intervals."),
+        (
+            _by_chance(gaps.xy, axes),
+            "Points spread alike in all directions: principal axes, and f, are by chance. So d1 to "
+            "d4 and f have no intervals.",
+        ),
+        (
+            outline_m2 > FULL * hull_m2,
+            lambda: (
+                f"Points lie on {100 * hull_m2 / outline_m2:.0f} % of the polygon: its density "
+                "counts the rest too."
+            ),
+        ),
+    )
 
 
-def _remark_on_bend(xy, residuals_mm, step_mm, scale):
-    """A remark if a surface of second degree explains most of the distances from the plane."""
+def _by_chance(xy, axes):
+    """Whether the axes of the quadrants follow from points that spread alike everywhere."""
+    narrow, wide = np.linalg.eigvalsh(np.cov(xy.T))
+    return axes != "horizontal" and wide < ALIKE * narrow
+
+
+def _remark_on_form(xy, residuals_mm, step_mm, scale):
+    """A remark if the form of a surface, bent or stepped, is most of its distances from a plane."""
     if len(xy) < FEWEST or np.std(residuals_mm) < max(step_mm / 4, COARSE_MM):
         return []
     x, y = (xy / np.abs(xy).max()).T
     terms = np.array([np.ones_like(x), x, y, x * x, x * y, y * y])
     rest = residuals_mm - np.linalg.pinv(terms @ terms.T) @ (terms @ residuals_mm) @ terms
     share = 1 - np.var(rest) / np.var(residuals_mm)
-    if share < BENT:
+    if share >= BENT:
+        return [
+            f"The surface is bent: its form is {100 * share:.0f} % of the variance of the "
+            f"distances. Without it sigma_MAD is {sigma_mad(rest, scale):.1f} mm."
+        ]
+    block = stats.blocks(xy, side=int(min(8, (len(xy) / 8) ** 0.5)))
+    counts = np.maximum(np.bincount(block), 1)
+    within = residuals_mm - (np.bincount(block, residuals_mm) / counts)[block]
+    # the means of the blocks take a part of the noise
+    noise_mm = sigma_mad(within, scale) * (len(xy) / (len(xy) - len(counts))) ** 0.5
+    if noise_mm**2 > (1 - BENT) * sigma_mad(residuals_mm, scale) ** 2:
         return []
     return [
-        f"The surface is bent: its form is {100 * share:.0f} % of the variance of the distances. "
-        f"Without it sigma_MAD is {sigma_mad(rest, scale):.1f} mm."
+        "The surface is stepped or uneven: most of its distances from the plane are its form. "
+        f"Within {len(counts)} blocks sigma_MAD is {noise_mm:.1f} mm."
     ]
 
 

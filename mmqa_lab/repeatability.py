@@ -15,7 +15,13 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
-from mmqa_lab._checks import check_count, check_number, check_polygon, check_positive
+from mmqa_lab._checks import (
+    check_columns,
+    check_count,
+    check_number,
+    check_polygon,
+    check_positive,
+)
 from mmqa_lab._results import Shown
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.planes import fit_plane
@@ -79,7 +85,9 @@ def operator_polygons(
     corners = check_polygon(corners, name="corners")
     repeats = check_count(repeats, "repeats")
     click = check_number(click, "click", low=0, unit="m")
-    if len(corners) != 4 or check_count(vertices, "vertices", low=4) % 4:
+    if len(corners) != 4:
+        raise ValueError(f"Invalid corners: {len(corners)} given. Must be four.")
+    if check_count(vertices, "vertices", low=4) % 4:
         raise ValueError(f"Invalid vertices {vertices}. Must be a multiple of four corners.")
     plane = fit_plane(corners)
     steps = np.arange(vertices // 4)[:, None] * 4 / vertices
@@ -169,7 +177,7 @@ class Repeatability(Shown):
 
     def to_frame(self) -> pd.DataFrame:
         """Return a row with all fields, ``r``, and ``relative_s_r_percent`` with its interval."""
-        percent = 100 / self.mean
+        percent = 100 / self.mean if self.mean else np.nan
         relative = {
             "relative_s_r_percent": percent * self.s_r,
             "low_percent": percent * self.s_r_low,
@@ -200,7 +208,8 @@ def repeatability(table: pd.DataFrame, value: str) -> Repeatability:
     Raises
     ------
     ValueError
-        If a value is not finite or a scan has fewer than two selections.
+        If the table lacks the figure, a value is not finite, or a scan has fewer than two
+        selections.
 
     References
     ----------
@@ -213,6 +222,7 @@ def repeatability(table: pd.DataFrame, value: str) -> Repeatability:
     >>> round(found.s_r, 3), round(found.s_l, 3), round(found.icc, 3)
     (0.141, 0.7, 0.961)
     """
+    check_columns(table, [value], "table")
     grouped = table.groupby("scan" if "scan" in table else np.zeros(len(table)))[value]
     parts = [rows.to_numpy(dtype=np.float64) for _, rows in grouped]
     if not parts or min(len(part) for part in parts) < 2:
@@ -253,8 +263,8 @@ def variance_components(table: pd.DataFrame, value: str, *, factors: Sequence[st
     Raises
     ------
     ValueError
-        If a value is not positive, if the design is not balanced, or if a factor has a single
-        level.
+        If the table lacks a column, a value is not positive, the design is not balanced, or a
+        factor has a single level.
 
     Examples
     --------
@@ -263,6 +273,7 @@ def variance_components(table: pd.DataFrame, value: str, *, factors: Sequence[st
     >>> found["factor"].tolist(), found["relative_sd"].round(3).tolist()
     (['scan', 'selection'], [0.49, 0.034])
     """
+    check_columns(table, [value, *factors], "table")
     if not (np.isfinite(table[value]) & (table[value] > 0)).all():
         raise ValueError(f"Invalid {value}: not positive. Must be positive in every selection.")
     logs = np.log(table[value])

@@ -26,6 +26,7 @@ HALF_WAVES = np.arange(3, 13, 2)
 count a trend as an error. Even numbers would count that points at the edges lack neighbours."""
 
 PARTS = 256
+CELLS = 1 << 16  # of the extent of points, in which they are counted
 COSINES = np.sqrt(2) * np.cos(np.pi * HALF_WAVES[:, None] * (np.arange(PARTS) + 0.5) / PARTS)
 """The waves in parts of equal numbers of points, of mean 0 and mean square 1."""
 
@@ -281,23 +282,28 @@ def waves(xy: ArrayLike, direction: float) -> np.ndarray:
     Returns
     -------
     array of int, shape (2, n)
-        0 to 255: which of 256 parts of equal numbers of points. The waves are cosines over these
-        parts, see ``HALF_WAVES``.
+        0 to 255: which of 256 parts of equal numbers of points; points at the same place are in
+        the same part. The waves are cosines over these parts, see ``HALF_WAVES``.
 
     Examples
     --------
     >>> x, y = np.meshgrid(np.arange(40), np.arange(16))
     >>> waves(np.stack([x.ravel(), y.ravel()], axis=1), 0)[:, [0, 39, 639]].tolist()
-    [[0, 15, 255], [0, 249, 255]]
+    [[8, 8, 248], [3, 252, 252]]
     """
     turn = np.radians(direction)
     along = np.array([np.cos(turn), np.sin(turn)])
-    place = np.asarray(xy, dtype=np.float64) @ np.column_stack([[-along[1], along[0]], along])
-    order, n = np.argsort(place, axis=0, kind="stable").T, len(place)
-    found = np.empty((2, n), dtype=np.intp)
-    for way, places in zip(found, order, strict=True):
-        way[places] = np.arange(n) * PARTS // n
-    return found
+    places = np.asarray(xy, dtype=np.float64) @ np.column_stack([[-along[1], along[0]], along])
+    return np.array([_parts(way) for way in places.T])
+
+
+def _parts(places):
+    """Part of each place (n,) by their order; without sorting, unless a cell holds a whole part."""
+    cells = ((places - places.min()) * (CELLS / max(np.ptp(places), 1e-300))).astype(np.intp)
+    counts = np.bincount(cells)
+    if counts.max() * PARTS > len(places):
+        _, cells, counts = np.unique(places, return_inverse=True, return_counts=True)
+    return ((np.cumsum(counts) - counts / 2) * PARTS / len(places)).astype(np.intp)[cells]
 
 
 def mean_reach(values: ArrayLike, block: ArrayLike) -> float:
@@ -369,7 +375,8 @@ def median_interval(values: ArrayLike, block: ArrayLike) -> tuple[float, float]:
     if np.isnan(reach):
         return np.nan, np.nan
     shares = np.clip([0.5 - reach, 0.5 + reach], 0, 1)
-    low, high = np.sort(values)[np.rint(shares * (len(values) - 1)).astype(int)]
+    ranks = np.rint(shares * (len(values) - 1)).astype(int)
+    low, high = np.partition(values, ranks)[ranks]
     middle = np.median(values)  # between two values where their number is even
     return float(min(low, middle)), float(max(high, middle))
 

@@ -266,3 +266,52 @@ def test_a_bent_surface_is_said_with_the_noise_about_it(rng, rise_m, said):
     points[:, 2] += rise_m * points[:, 1] ** 2
     remarks = " ".join(evaluate_cloud(points).remarks)
     assert ("The surface is bent" in remarks and "sigma_MAD is 10." in remarks) == said
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.6])
+@pytest.mark.parametrize("place", [0.3, 0.5])
+@pytest.mark.parametrize("n", [800, 20_000])
+def test_a_step_across_a_surface_is_said_with_the_noise_beside_it(rng, turn, place, n):
+    points = rng.random((n, 3)) * [1, 1, 0] + [0, 0, 1] * rng.normal(0, 0.0041, (n, 1))
+    assert "stepped" not in " ".join(evaluate_cloud(points).remarks)
+    along = points[:, :2] @ [np.cos(turn), np.sin(turn)]
+    points[:, 2] += 0.03 * (along > place * (np.cos(turn) + np.sin(turn)))
+    quality = evaluate_cloud(points)
+    (said,) = (one for one in quality.remarks if "stepped" in one)
+    noise_mm = float(said.split("sigma_MAD is ")[1].split()[0])
+    assert quality.sigma_mad_mm > 8.5
+    assert 4 < noise_mm < 6
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(60, 3000), st.floats(0.2, 5))
+def test_noise_alone_is_neither_bent_nor_stepped(seed, n, wide):
+    rng = np.random.default_rng(seed)
+    points = np.column_stack([rng.random((n, 2)) * [wide, 1], rng.normal(0, 0.004, n)])
+    assert not any("surface is" in one for one in evaluate_cloud(points).remarks)
+
+
+def test_axes_by_chance_give_no_interval_of_what_depends_on_them(rng):
+    """Two heads crossing on the ground: f follows from axes that the next scan has elsewhere."""
+    along, line = np.meshgrid(np.arange(0, 1, 0.01), np.arange(0, 1, 0.05))
+    one = np.column_stack([along.ravel(), line.ravel()])
+    points = np.column_stack([np.vstack([one, one[:, ::-1]]), rng.normal(0, 0.004, 2 * len(one))])
+    points[:, :2] += rng.normal(0, 1e-4, (len(points), 2))
+    points[:, 2] += 0.02 * points[:, 1]
+    for axes, known in (("principal", False), (30.0, False), ("horizontal", True)):
+        table = evaluate_cloud(points, axes=axes).intervals().set_index("figure")
+        assert table.loc[["d1", "d2", "d3", "d4", "f"], "low"].notna().all() == known
+        assert table.loc[["density", "sigma_mad", "g"], ["low", "high"]].notna().all(axis=None)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.booleans(), st.sampled_from([0.0, 1e5, -1e7]))
+def test_no_figure_and_no_interval_depends_on_the_order_of_points(seed, in_rows, shift):
+    rng = np.random.default_rng(seed)
+    points = scan_lines(rng, along=0.02)[:1500]
+    if in_rows:  # many points at the same distance across
+        points[:, 1] = points[:, 1].round(2)
+    points = points + shift
+    one, other = (evaluate_cloud(p).intervals() for p in (points, rng.permutation(points)))
+    figures = ["value", "low", "high"]
+    np.testing.assert_allclose(one[figures], other[figures], rtol=1e-6)

@@ -1,19 +1,26 @@
 """Planning: uncertainty, the largest speed, and the command ``mmqa plan``."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
+from mmqa_lab import simulate
+from mmqa_lab.__main__ import main
 from mmqa_lab.scan_pattern import (
     QUANTITIES,
     ScanSetup,
     Target,
+    detail_size,
     explain_error,
     largest_speed,
     propagate,
     scan_lattice,
+    speeds,
 )
+from mmqa_lab.spacing import empty_space
 
 HEAD = {"pulse_rate_hz": 300_000, "mirror_frequency_hz": 100, "speed_m_s": 10}
 MIMIC = ScanSetup(**HEAD, scanner_heading_deg=45, scanner_tilt_deg=45)
@@ -66,3 +73,49 @@ def test_explained_errors_are_errors_that_they_explain():
         patch = target.patch(MIMIC)
         assert getattr(scan_lattice(changed, patch), quantity) == pytest.approx(now + 0.002)
     assert change["speed_m_s"] > 0 > change["mirror_frequency_hz"]
+
+
+def test_details_of_any_lattice_are_those_of_a_dense_search():
+    rng = np.random.default_rng(4)
+    for _ in range(30):
+        a, b = rng.normal(0, 10.0 ** rng.uniform(-2, 0), 2), rng.normal(0, 1, 2)
+        i, j = np.mgrid[-300:301, -30:31].reshape(2, -1, 1)
+        places = rng.random((5000, 2)) @ np.array([a, b])
+        third = cKDTree(i * a + j * b).query(places, [3])[0]
+        assert detail_size(a, b) == pytest.approx(2 * np.quantile(third, 0.95), rel=0.02)
+    assert np.isnan(detail_size([np.nan, 1], [0, 1]))
+
+
+@pytest.mark.parametrize(("scanner", "range_m"), [("vq-450", 5), ("zf-9012", 8)])
+def test_simulated_drives_show_details_up_to_the_planned_speed(scanner, range_m):
+    """95 % of discs of 5 cm on a wall get three points at the speed, fewer at a fifth more."""
+    preset = replace(simulate.PRESETS[scanner], range_noise_m=0.0, lever_arm_m=(0, 0, 2.0))
+    rates = {name: getattr(preset, name) for name in ("pulse_rate_hz", "mirror_frequency_hz")}
+    turns = {f"scanner_{turn}": getattr(preset, turn) for turn in ("heading_deg", "tilt_deg")}
+    setup, target = ScanSetup(**rates, **turns, speed_m_s=1), Target(range_m=range_m)
+    asked = speeds(setup, target, detail=0.05).set_index("asked")["speed_km_h"]
+    wall = simulate.rectangle((range_m, 3, 1.5), along=(0, 1, 0), up=(0, 0, 1))
+    shares = []
+    for factor in (1.0, 1.2):
+        path = simulate.straight(7, asked["detail_mm"] / 3.6 * factor)
+        points = simulate.scan(simulate.Scene([wall]), preset, path, seed=1).points
+        outline = [[3.05, 1.55], [3.95, 1.55], [3.95, 2.45], [3.05, 2.45]]
+        shares.append(empty_space(points[:, 1:], outline=outline, rank=3).share(0.025))
+    assert shares[0] == pytest.approx(0.95, abs=0.02)
+    assert shares[1] < 0.93
+
+
+def test_speeds_that_nothing_limits_are_nan_and_the_command_lists_them(capsys):
+    target = Target(range_m=5)
+    table = speeds(MIMIC, target, detail=0.05, rho0=1e9)
+    assert np.isnan(table["speed_km_h"][1])
+    words = "plan --range 5 --speed 8 --scanner vq-450 --detail 0.05 --json"
+    main(words.split())
+    rows = json.loads(capsys.readouterr().out)
+    assert [row["asked"] for row in rows] == ["detail_mm", "density_per_m2", "f"]
+    assert rows[0]["limit"] == 50
+
+
+def test_a_draw_that_cannot_be_names_the_sigma_that_was_given():
+    with pytest.raises(ValueError, match=r"Invalid sigmas {'speed_m_s': 9}\. Must be small"):
+        propagate(MIMIC, Target(range_m=5), sigmas={"speed_m_s": 9})

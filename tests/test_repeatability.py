@@ -164,3 +164,26 @@ def test_each_selection_is_evaluated_as_study_01_does(rng):
     figures = ["n", "density_polygon_per_m2", "sigma_mad_mm", "d1_mm", "d4_mm"]
     # a metre coordinate at 10,000 km keeps two nanometres
     assert moved[figures].to_numpy() == pytest.approx(table[figures].to_numpy(), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda t: repeatability(t, "g"), r"Invalid table: no column 'g'\."),
+        (lambda t: variance_components(t, "g", factors=["scan"]), "no column 'g'"),
+        (lambda t: variance_components(t, "f", factors=["head"]), "no column 'head'"),
+        (
+            lambda t: operator_polygons(np.eye(5, 3), repeats=1, click=0.1, seed=1),
+            r"Invalid corners: 5 given\. Must be four",
+        ),
+    ],
+)
+def test_what_a_table_or_outline_lacks_is_named(call, said):
+    with pytest.raises(ValueError, match=said):
+        call(pd.DataFrame({"scan": [1, 1, 2, 2], "f": [2.0, 2.1, 4.0, 4.2]}))
+
+
+def test_a_share_of_a_mean_of_zero_is_not_measurable():
+    found = repeatability(pd.DataFrame({"bias": [-1.0, 1.0]}), "bias").to_frame()
+    assert np.isnan(found["relative_s_r_percent"].item())
+    assert found["s_r"].item() == pytest.approx(2**0.5)

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from mmqa_lab import io, samples, spacing
 from mmqa_lab.chart_cloud import evaluate_cloud
+from mmqa_lab.planes import fit_plane
 from mmqa_lab.spacing import (
     Spacing,
     _search,
@@ -240,7 +241,7 @@ def test_intervals_of_a_random_pattern_cover_the_closed_form():
         middle = (np.abs(xy - 0.6) < 0.5).all(axis=1)
         distances = quadrant_distances(xy)[middle]
         found = Spacing(xy[middle], distances)
-        low, high = found.intervals.T
+        low, high = found.intervals()[["low", "high"]].to_numpy().T * [1e-3, 1e-3, 1e-3, 1e-3, 1]
         inside += (low <= truth) & (truth <= high)
     assert (inside >= 88).all()
     assert (inside < 100).any()
@@ -318,3 +319,17 @@ def test_one_thread_equals_many_and_threads_may_call_at_once():
 def test_extents_that_differ_beyond_measure():
     xy = np.vstack([pattern("uniform", 300), [[1e12, -1e12], [1e-300, 1e-310]]])
     np.testing.assert_array_equal(quadrant_distances(xy), brute_force(xy, 0.5))
+
+
+def test_one_angle_is_a_number_or_a_list():
+    xy = pattern("scan lines", 2000)
+    one = spacing.turned_f(xy, angles=20)
+    np.testing.assert_array_equal(one, spacing.turned_f(xy, angles=[20.0]))
+    with pytest.raises(ValueError, match=r"Invalid angles nan\. Must be finite"):
+        spacing.turned_f(xy, angles=[20, NAN])
+
+
+def test_large_coordinates_are_shown_to_the_millimetre():
+    html = fit_plane(np.eye(3) + [452_123.4567, 5_411_000.25, 300])._repr_html_()
+    assert "452123.790" in html
+    assert "5411000.583" in html

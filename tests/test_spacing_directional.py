@@ -93,7 +93,7 @@ def test_intervals_of_scan_lines_cover_the_closed_form():
     """95 % of 80 windows, or 70 with three standard errors; 20 degrees is a direction tried."""
     choices = {"ratio": 3, "angle": 20, "size": 1, "jitter": 0.2}
     found = [directional(pattern("scan_lines", seed, **choices)) for seed in range(80)]
-    low, high = np.array([one.intervals[2] for one in found]).T
+    low, high = np.array([one.intervals()[["low", "high"]].to_numpy()[2] for one in found]).T
     truth = np.mean([one.g for one in found])  # jitter shortens the spacing along
     assert 70 <= ((low <= truth) & (truth <= high)).sum() <= 80
     assert (high / low < 1.1).all()

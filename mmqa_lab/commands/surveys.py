@@ -130,8 +130,9 @@ def plan(
     target_tilt: float = 0.0,
     height_difference: float = 0.0,
     sigma: list[str] | None = None,
+    detail: float | None = None,
 ):
-    """Predict the points of a profile scanner on a plane: spacings, angle, density, f.
+    """Predict the points of a profile scanner on a plane, or the largest speed for a task.
 
     X is across the track to the target's side, Y the direction of travel, Z up. Angles are
     counter-clockwise, and tilt is applied before heading. With all angles zero, the scan plane is
@@ -162,6 +163,9 @@ def plan(
         Height of the evaluated spot above the scanner, m.
     sigma
         Standard deviations of inputs, such as speed_m_s=0.2 target_heading_deg=1.93.
+    detail
+        Size of details, m. Print the largest speed at which 95 % of them get three points, beside
+        the speeds for 3000 points/m2 and for f = 2.
     """
     from mmqa_lab import scan_pattern
 
@@ -178,6 +182,8 @@ def plan(
         "scanner_tilt_deg": scanner_tilt,
     }
     setup = _setup(scanner, speed, {name: one for name, one in given.items() if one is not None})
+    if detail is not None:
+        return scan_pattern.speeds(setup, target, detail=detail)
     lattice = scan_pattern.scan_lattice(setup, target.patch(setup))
     frame = lattice.to_frame().T.reset_index().set_axis(["quantity", "predicted"], axis=1)
     if sigma:

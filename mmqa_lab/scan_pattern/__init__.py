@@ -27,10 +27,12 @@ Planning: :func:`largest_speed`, :func:`propagate`, :func:`explain_error`. Measu
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive, check_values
@@ -57,6 +59,8 @@ EXPLAINED = (
 TRAVEL = np.array([0.0, 1.0, 0.0])  # the vehicle drives along Y
 FEWEST = 100  # pulses per revolution; with fewer, a step on the surface is not small
 SPEEDS = np.geomspace(0.01, 100.0, 4001)  # tried before the refinement, m/s
+SHOWN_WITH_SPEED = ("density_per_m2", "f", "detail_mm")
+SPREAD = np.outer([0.7548776662466927, 0.5698402909980532], np.arange(400))  # over a cell
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -259,6 +263,11 @@ class Lattice(Shown):
     d4_mm: np.ndarray
     f: np.ndarray
 
+    @cached_property
+    def detail_mm(self) -> np.ndarray:
+        """Diameter of the smallest details of which 95 % show three points or more, mm."""
+        return 1000 * detail_size(self.a, self.b)
+
     def to_frame(self) -> pd.DataFrame:
         """Return a DataFrame of ``QUANTITIES``, one row per spot."""
         return pd.DataFrame({name: np.ravel(getattr(self, name)) for name in QUANTITIES})
@@ -427,6 +436,41 @@ def lattice_distances(a, b):
     return tuple(np.where(spans, each, np.nan) for each in np.sort(nearest, axis=0))
 
 
+def detail_size(a: ArrayLike, b: ArrayLike) -> np.ndarray:
+    """Return the diameter of the smallest discs of which 95 % contain three points of a lattice.
+
+    Parameters
+    ----------
+    a, b : array_like, shape (..., 2)
+        Two steps that span the lattice.
+
+    Returns
+    -------
+    array
+        In the unit of the steps, accurate to 1 %; NaN where a step is not finite.
+
+    Notes
+    -----
+    It is twice the 95 % quantile of the distance from a place to its third nearest point, over the
+    places of a cell. With the reduced basis this point is one of five on one of the four nearest
+    rows.
+
+    Examples
+    --------
+    >>> float(detail_size([0.001, 0], [0, 0.04]).round(4))  # close points: 95 % of the gap
+    0.0379
+    """
+    short, long = _reduced(*(np.asarray(step, dtype=np.float64) for step in (a, b)))
+    length = np.linalg.norm(short, axis=-1)[..., None, None]
+    gap = np.abs(short[..., 0] * long[..., 1] - short[..., 1] * long[..., 0])[..., None, None]
+    shift = _dot(short, long)[..., None, None] / length
+    u, v = (SPREAD % 1)[..., None]
+    i, j = np.mgrid[-2:3, -1:3].reshape(2, -1)
+    place = u - j * shift / length
+    away = np.hypot((place - np.round(place) + i) * length, (v - j) * gap / length)
+    return 2 * np.quantile(np.partition(away, 2, axis=-1)[..., 2], 0.95, axis=-1)
+
+
 def _axes(normal):
     """Level line and line of greatest slope of a surface, and whether the surface is level."""
     flat = np.hypot(normal[..., 0], normal[..., 1]) < LEVEL
@@ -469,7 +513,8 @@ def largest_speed(
     target : Target or Patch
         A single spot.
     quantity : str
-        One of ``QUANTITIES`` except the profile angle.
+        One of ``QUANTITIES`` except the profile angle, or detail_mm: the largest size of details
+        of which 95 % shall show three points or more.
     limit : float
         In the unit of the quantity.
 
@@ -498,7 +543,8 @@ def largest_speed(
     >>> round(3.6 * speed)
     54
     """
-    check_choice(quantity, "quantity", [q for q in QUANTITIES if q != "profile_angle_deg"])
+    allowed = [*(one for one in QUANTITIES if one != "profile_angle_deg"), "detail_mm"]
+    check_choice(quantity, "quantity", allowed)
     limit = check_positive(limit, "limit")
 
     def margin(speed):
@@ -507,10 +553,54 @@ def largest_speed(
         share = values / limit - 1 if quantity == "density_per_m2" else 1 - values / limit
         return np.where(np.isnan(share), -1.0, share)
 
-    kept = np.flatnonzero(margin(SPEEDS) >= 0)
+    margins = [margin(speeds) for speeds in np.array_split(SPEEDS, 50)]
+    kept = np.flatnonzero(np.concatenate(margins) >= 0)
     if not len(kept) or kept[-1] == len(SPEEDS) - 1:
         raise ValueError(f"Invalid limit {limit}. Must be reached between 0.01 and 100 m/s.")
     return float(brentq(margin, *SPEEDS[kept[-1] : kept[-1] + 2], xtol=1e-9))
+
+
+def speeds(
+    setup: ScanSetup, target: Target | Patch, *, detail: float, rho0: float = 3000.0, f: float = 2.0
+) -> pd.DataFrame:
+    """Return the largest speed for a task, and for what tenders ask, with what each gives.
+
+    Parameters
+    ----------
+    setup : ScanSetup
+        Of plain numbers; its own speed is ignored.
+    target : Target or Patch
+        A single spot.
+    detail : float
+        Diameter of details, m; 95 % of them shall show three points or more.
+    rho0, f : float
+        Required density (points per m2) and inhomogeneity.
+
+    Returns
+    -------
+    DataFrame
+        A row for the details, the density and f: ``asked``, ``limit``, ``speed_km_h`` (NaN if no
+        speed from 0.01 to 100 m/s is the largest that keeps the limit), and at this speed
+        ``density_per_m2``, ``f``, ``detail_mm``.
+
+    Examples
+    --------
+    >>> scanner = {"pulse_rate_hz": 1e6, "mirror_frequency_hz": 200, "scanner_tilt_deg": 45}
+    >>> found = speeds(ScanSetup(**scanner, speed_m_s=1), Target(range_m=5), detail=0.05)
+    >>> found["speed_km_h"].round().tolist()
+    [51.0, 54.0, 13.0]
+    """
+    rows = []
+    for asked, limit in (("detail_mm", 1000 * detail), ("density_per_m2", rho0), ("f", f)):
+        try:
+            speed = largest_speed(setup, target, quantity=asked, limit=limit)
+            found = scan_lattice(replace(setup, speed_m_s=speed), target)
+        except ValueError:
+            rows.append({"asked": asked, "limit": limit, "speed_km_h": np.nan})
+            continue
+        figures = {name: float(getattr(found, name)) for name in SHOWN_WITH_SPEED}
+        rows.append({"asked": asked, "limit": limit, "speed_km_h": 3.6 * speed} | figures)
+    return pd.DataFrame(rows)
 
 
 def propagate(
@@ -547,7 +637,8 @@ def propagate(
     Raises
     ------
     ValueError
-        If an input is unknown, a deviation negative, or ``draws`` below 100.
+        If an input is unknown, a deviation negative or so large that a draw is impossible, or
+        ``draws`` below 100.
 
     Examples
     --------
@@ -563,7 +654,12 @@ def propagate(
         check_number(sigma, f"sigma of {name}", low=0)
     draws, rng = check_count(draws, "draws", low=100), np.random.default_rng(seed)
     errors = {name: sigma * rng.standard_normal(draws) for name, sigma in sigmas.items()}
-    drawn = _with_errors(setup, target, errors).to_frame()
+    try:
+        drawn = _with_errors(setup, target, errors).to_frame()
+    except ValueError:
+        raise ValueError(
+            f"Invalid sigmas {sigmas}. Must be small enough: a draw is an impossible set-up."
+        ) from None
     low, high = np.quantile(drawn, (0.025, 0.975), axis=0)
     predicted = scan_lattice(setup, target).to_frame().iloc[0].to_numpy()
     table = {"quantity": list(QUANTITIES), "predicted": predicted, "std": drawn.std().to_numpy()}

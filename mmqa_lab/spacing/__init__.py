@@ -25,7 +25,13 @@ import shapely
 from numpy.typing import ArrayLike
 
 from mmqa_lab import stats
-from mmqa_lab._checks import check_count, check_number, check_points, check_positive
+from mmqa_lab._checks import (
+    check_count,
+    check_number,
+    check_points,
+    check_positive,
+    check_values,
+)
 from mmqa_lab._results import Shown
 from mmqa_lab.planes import flat_points
 
@@ -51,6 +57,9 @@ STEP_DEG = 4.0
 
 SECTOR_STEPS = 15
 """Width of a sector in steps of STEP_DEG: 60 degrees, a third of all directions."""
+
+MOST = 100_000
+"""Most points whose spacing by direction is measured; with more points, a random choice of them."""
 
 AT_ONCE = 1_000_000
 """Number of neighbours that are searched together; it limits the memory."""
@@ -138,11 +147,8 @@ class Spacing(Shown):
         return directional(self.xy)
 
     @cached_property
-    def intervals(self) -> np.ndarray:
-        """95 % confidence intervals of d1..d4 (m) and f, shape (5, 2).
-
-        They allow for errors of whole scan lines if the points lie in lines: :func:`line_waves`.
-        """
+    def _ends(self):
+        """95 % confidence intervals of d1..d4 (m) and f, shape (5, 2)."""
         ends = [stats.median_interval(distances, self.waves) for distances in self.distances.T]
         nearest, farthest = self.distances.T[[0, -1]]
         return np.array([*ends, stats.median_ratio_interval(farthest, nearest, self.waves)])
@@ -171,10 +177,15 @@ class Spacing(Shown):
         ax.legend(loc="upper left", bbox_to_anchor=(0, 1.32), borderaxespad=0)
         return ax
 
-    def to_frame(self) -> pd.DataFrame:
-        """Return a row for each of d1..d4 (mm) and f: value, 95 % interval, number of points."""
-        table = _table(["d1", "d2", "d3", "d4", "f"], [*self.d, self.f], self.intervals)
+    def intervals(self) -> pd.DataFrame:
+        """Return a row for each of d1..d4 (mm) and f: value, 95 % interval, number of points.
+
+        Intervals allow for errors of whole scan lines if points lie in lines: :func:`line_waves`.
+        """
+        table = _table(["d1", "d2", "d3", "d4", "f"], [*self.d, self.f], self._ends)
         return table.assign(n=[*self.counts, self.counts[-1]])
+
+    to_frame = intervals
 
 
 def quadrant_distances(
@@ -368,7 +379,7 @@ class DirectionalSpacing(Shown):
         Median distance to the nearest other point near the direction or its opposite, in the unit
         of the coordinates; NaN if fewer than half of the points have such a neighbour.
     xy : array, shape (n, 2)
-        The points, without repeated places.
+        The points measured from: all without repeated places, at most 100,000.
     nearest : array, shape (n, 45)
         Distance of each point to the nearest other point by direction; infinite without neighbour.
 
@@ -387,7 +398,7 @@ class DirectionalSpacing(Shown):
 
     @property
     def n(self) -> int:
-        """Number of points."""
+        """Number of points measured from."""
         return len(self.xy)
 
     @property
@@ -418,11 +429,8 @@ class DirectionalSpacing(Shown):
         return self.across / self.along
 
     @cached_property
-    def intervals(self) -> np.ndarray:
-        """95 % confidence intervals of along, across and g, shape (3, 2).
-
-        They hold for the direction found, and come from :func:`line_waves`.
-        """
+    def _ends(self):
+        """95 % confidence intervals of along, across and g, shape (3, 2)."""
         block = line_waves(self.xy, self)
         places = (self.direction_deg + np.array([0, 90])) / STEP_DEG
         along, across = self.nearest[:, places.round().astype(int) % len(self.directions_deg)].T
@@ -440,11 +448,16 @@ class DirectionalSpacing(Shown):
         ax.set(xlabel="direction (degrees)", ylabel="spacing (mm)", ylim=(0, None))
         return ax
 
-    def to_frame(self) -> pd.DataFrame:
-        """Return rows for along, across (mm) and g: value, 95 % interval, direction, n."""
+    def intervals(self) -> pd.DataFrame:
+        """Return rows for along, across (mm) and g: value, 95 % interval, direction, n.
+
+        The intervals hold for the direction found, and come from :func:`line_waves`.
+        """
         values = [self.along, self.across, self.g]
-        table = _table(["along", "across", "g"], values, self.intervals)
+        table = _table(["along", "across", "g"], values, self._ends)
         return table.assign(direction_deg=self.direction_deg, n=self.n)
+
+    to_frame = intervals
 
     def at(self, direction: float) -> float:
         """Spacing in a direction (degrees), interpolated between the directions tried."""
@@ -480,7 +493,8 @@ def directional(xy: ArrayLike, *, radius: float = 0.5) -> DirectionalSpacing:
     -----
     Since the direction is chosen from the pattern, random patterns of n points have a mean g of
     1 + 1.6 / sqrt(n). In 95 % of such patterns g is below 1 + 3.2 / sqrt(n) (simulated, n = 200 to
-    10,000). The direction is accurate to about 2 degrees. Repeated points are counted once. On scan
+    10,000). The direction is accurate to about 2 degrees. Repeated points are counted once. Of more
+    than 100,000 points a random choice of this number is measured, with all as neighbours. On scan
     lines blurred by more than their point spacing, the nearest point across lies on the same line.
     g then falls towards 1, since the pattern has no direction at that scale. Elongated clusters
     have their direction along their length.
@@ -495,20 +509,24 @@ def directional(xy: ArrayLike, *, radius: float = 0.5) -> DirectionalSpacing:
     xy = flat_points(xy, minimum=2)
     radius = check_positive(radius, "radius", unit="m")
     local = np.ascontiguousarray(xy - xy.mean(axis=0)).view(np.complex128)
-    xy = np.unique(local).view(np.float64).reshape(-1, 2)  # sorted by x, then by y
+    local = np.sort(local, axis=0)  # by x, then by y
+    xy = local[np.append(True, local[1:] != local[:-1])].view(np.float64)
     directions = np.arange(0, 180, STEP_DEG)
     extent = np.ptp(xy, axis=0)
     limit = 3 * max(np.sqrt(np.prod(extent) / len(xy)), extent.max() / len(xy), 1e-9)
+    rows = np.sort(np.random.default_rng(0).permutation(len(xy))[:MOST])
     medians, reach = np.array(np.inf), 16
     while np.isinf(medians).any():  # points beyond the medians cannot change them
         limit = min(limit, radius)
-        nearest = _nearest(xy, limit, reach, len(directions), _by_direction)
-        middle = np.sort(nearest.T)[:, [(len(xy) - 1) // 2, len(xy) // 2]]  # faster than a median
+        nearest = _nearest(xy, rows, limit, reach, len(directions), _by_direction)
+        # faster than a median
+        middle = np.sort(nearest.T)[:, [(len(rows) - 1) // 2, len(rows) // 2]]
         medians = middle.mean(axis=1)
         if limit == radius:
             break
         limit, reach = 2 * limit, 4 * reach
-    return DirectionalSpacing(directions, np.where(np.isinf(medians), np.nan, medians), xy, nearest)
+    spacing = np.where(np.isinf(medians), np.nan, medians)
+    return DirectionalSpacing(directions, spacing, xy[rows], nearest)
 
 
 @dataclass(frozen=True, eq=False)
@@ -671,7 +689,7 @@ def turned_f(xy: ArrayLike, *, angles: ArrayLike, radius: float = 0.5) -> np.nda
     ----------
     xy : array_like of shape (n, 2), or points in space (laid onto their regression plane)
         Metres.
-    angles : array_like, shape (k,)
+    angles : float or array_like, shape (k,)
         Degrees.
     radius : float
         Neighbours up to this far count, m.
@@ -692,7 +710,7 @@ def turned_f(xy: ArrayLike, *, angles: ArrayLike, radius: float = 0.5) -> np.nda
     >>> turned_f(np.stack([x.ravel(), y.ravel()], axis=1), angles=[10, 30]).round(2)
     array([4., 4.])
     """
-    xy = flat_points(xy)
+    xy, angles = flat_points(xy), np.atleast_1d(check_values(angles, "angles"))
     return np.array([quadrants(xy, radius=radius, angle=float(angle)).f for angle in angles])
 
 
@@ -732,12 +750,12 @@ def _nearest_per_quadrant(xy, radius, of):
 
 def _nearest_by_scipy(xy, radius):
     """Sorted distances to the nearest point in each quadrant, NaN last."""
-    found = _nearest(xy, radius, 16, 4, _by_quadrant)
+    found = _nearest(xy, np.arange(len(xy)), radius, 16, 4, _by_quadrant)
     return np.where(np.isinf(found), np.nan, found)
 
 
-def _nearest(xy, radius, reach, ranks, fold):
-    """Return the result of ``fold`` for the neighbours of each point, shape (n, ranks).
+def _nearest(xy, rows, radius, reach, ranks, fold):
+    """Return the result of ``fold`` for the neighbours of the points in rows, (len(rows), ranks).
 
     ``fold`` takes the distances of the k nearest points (rows, k), infinite beyond the radius and
     for the point itself, and their offsets x + iy (rows, k). If a result is infinite, ``fold`` is
@@ -745,21 +763,21 @@ def _nearest(xy, radius, reach, ranks, fold):
     """
     from scipy.spatial import cKDTree
 
-    tree, found = cKDTree(xy, balanced_tree=False), np.empty((len(xy), ranks))
+    tree, found = cKDTree(xy, balanced_tree=False), np.empty((len(rows), ranks))
     places = np.append(xy[:, 0] + 1j * xy[:, 1], np.inf)  # scipy gives the last if there is none
-    waiting = _portions(np.arange(len(xy)), min(reach, len(xy)))
+    waiting = _portions(np.arange(len(rows)), min(reach, len(xy)))
     while waiting:
-        rows, reach = waiting.pop()
+        part, reach = waiting.pop()
         bound = radius * (1 + 1e-9)  # a little larger, since scipy compares squares
-        choices = {"distance_upper_bound": bound, "workers": 1 + len(rows) // FEW}
-        _, other = tree.query(xy[rows], np.arange(1, reach + 1), **choices)
-        offset = places[other] - places[rows, None]
+        choices = {"distance_upper_bound": bound, "workers": 1 + len(part) // FEW}
+        _, other = tree.query(xy[rows[part]], np.arange(1, reach + 1), **choices)
+        offset = places[other] - places[rows[part], None]
         away = np.sqrt(offset.real**2 + offset.imag**2)
         all_seen = np.isinf(away[:, -1]) | (reach == len(xy))
         away[(away > radius) | (away == 0)] = np.inf
-        found[rows] = fold(away, offset)
-        is_open = ~all_seen & np.isinf(found[rows]).any(axis=1)
-        waiting += _portions(rows[is_open], min(2 * reach, len(xy)))
+        found[part] = fold(away, offset)
+        is_open = ~all_seen & np.isinf(found[part]).any(axis=1)
+        waiting += _portions(part[is_open], min(2 * reach, len(xy)))
     return found
 
 
