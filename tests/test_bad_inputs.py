@@ -40,7 +40,6 @@ PLAN = "plan --pulse-rate 3e5 --mirror-frequency 100 --speed 10 --range 5"
 COMMANDS = [
     ("info none.laz", "none.laz: no such file. Must exist."),
     ("info notes.md", "Must be one of .las, .laz"),
-    ("info feet.laz", "in US survey foot"),
     ("info --csv feet.laz zone32.laz", "Invalid file feet.laz. Must end in .csv."),
     ("poles words.csv --csv words.csv", "words.csv: it is an input. Must be another file."),
     ("accuracy PATCH heights.csv --out heights.csv", "heights.csv: it is an input."),

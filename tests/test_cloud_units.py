@@ -55,7 +55,7 @@ def test_sample_clouds_are_in_metres():
 
 def test_reading_says_what_is_not_in_metres(tmp_path):
     np.savetxt(tmp_path / "mm.xyz", street(0, 20, 5, 0) * 1000, fmt="%.2f")
-    with pytest.warns(UserWarning, match=r"mm\.xyz: Points lie .* look like millimetres"):
+    with pytest.warns(UserWarning, match=r"mm\.xyz: Points have no neighbour"):
         cloud = read_cloud(tmp_path / "mm.xyz")
     assert "millimetres" in describe(cloud)["remarks"]
 

@@ -6,6 +6,7 @@ help is quick.
 """
 
 import re
+import warnings
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -22,20 +23,54 @@ from mmqa_lab.commands.machine import (
 
 @table
 def info(clouds: list[Path], /):
-    """List what cloud files contain: extent, step, time, and columns with counts of their values.
+    """List what files contain: extent, unit, step, time, and columns with counts of their values.
+
+    Remarks tell what other commands leave out, count or refuse.
 
     Parameters
     ----------
     clouds
-        Cloud files: LAS, LAZ, COPC, PLY or text.
+        Cloud files: LAS, LAZ, COPC, PLY or text; images; outlines; and folders of such files.
     """
     import pandas as pd
 
-    from mmqa_lab import io
-    from mmqa_lab.cloud import describe
-
-    rows = [{"file": one.name} | describe(io.read_cloud(one)) for one in progress(clouds, "cloud")]
+    inside = [sorted(one.rglob("*")) if one.is_dir() else [one] for one in clouds]
+    files = [one for some in inside for one in some if one.is_file() or one in clouds]
+    if not files:
+        raise ValueError(f"Invalid folder {clouds[0]}: no file in it. Must contain one.")
+    rows, errors = [], []
+    for file in progress(files, "file"):
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always", UserWarning)
+            try:
+                row = _contents(file)
+            except (ValueError, OSError) as error:
+                errors, row = [*errors, error], {"remarks": str(error)}
+        remarks = row.pop("remarks", "")
+        for told in dict.fromkeys(str(one.message).removeprefix(f"{file}: ") for one in said):
+            remarks += "" if told in remarks else f" {told}"
+        rows.append({"file": file.name} | row | {"remarks": remarks.strip()})
+    if len(errors) == len(rows):
+        raise errors[0]
     return pd.DataFrame(rows)
+
+
+def _contents(file):
+    """What a file contains, as a row."""
+    from dataclasses import replace
+
+    from mmqa_lab import io
+    from mmqa_lab.cloud import Cloud, describe
+
+    ending = file.suffix.lower()
+    if ending in io.IMAGE_ENDINGS:
+        bands, rows, columns = io.read_bands(file).shape
+        return {"image": f"{columns} x {rows} pixels, {bands} bands"}
+    if ending in io.OUTLINE_ENDINGS:
+        return describe(Cloud(io.read_polygon(file)))
+    parts = list(io.iterate_cloud(file))
+    whole = Cloud.concatenate(replace(part, crs=None) for part in parts)
+    return describe(replace(whole, crs=parts[0].crs if parts else None))
 
 
 @table
@@ -333,11 +368,13 @@ def poles(
     import numpy as np
 
     from mmqa_lab import io, poles
+    from mmqa_lab._checks import check_upright
     from mmqa_lab.cloud import Cloud
 
     parts = []
     for number, file in enumerate(progress(clouds, "cloud")):
         cloud = io.read_cloud(file)
+        check_upright(f"cloud {file}", cloud.crs)
         head = {"head": np.full(len(cloud), number)} if len(clouds) > 1 else {}
         parts.append(Cloud(cloud.points, head | dict(cloud.columns), file.stem, crs=cloud.crs))
     scope = {"trajectory": None, "corridor": corridor}

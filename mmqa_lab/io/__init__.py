@@ -8,8 +8,8 @@ forms of them, ``systems`` coordinate systems, ``polygons`` and ``images`` what 
 
 from mmqa_lab.io.clouds import CLOUD_ENDINGS, LAS_ENDINGS, iterate_cloud, read_cloud, write_cloud
 from mmqa_lab.io.files import write_atomically
-from mmqa_lab.io.images import read_bands, read_heights, read_image
-from mmqa_lab.io.polygons import read_polygon, write_polygon
+from mmqa_lab.io.images import IMAGE_ENDINGS, read_bands, read_heights, read_image
+from mmqa_lab.io.polygons import OUTLINE_ENDINGS, read_polygon, write_polygon
 from mmqa_lab.io.tables import (
     coordinate_columns,
     read_segments,
@@ -20,7 +20,9 @@ from mmqa_lab.io.tables import (
 
 __all__ = [
     "CLOUD_ENDINGS",
+    "IMAGE_ENDINGS",
     "LAS_ENDINGS",
+    "OUTLINE_ENDINGS",
     "coordinate_columns",
     "iterate_cloud",
     "read_bands",

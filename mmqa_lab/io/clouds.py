@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice, check_columns, check_file, check_points
-from mmqa_lab.cloud import Cloud, unit_remarks
+from mmqa_lab.cloud import Cloud, extent, unit_remarks
 from mmqa_lab.io.files import reading, write_atomically
 from mmqa_lab.io.ply import read_ply
 from mmqa_lab.io.systems import las_system
@@ -27,6 +27,7 @@ LAS_ENDINGS = (".las", ".laz")
 TEXT_ENDINGS = (".txt", ".csv", ".xyz", ".pts", ".asc")
 CLOUD_ENDINGS = (*LAS_ENDINGS, ".ply", *TEXT_ENDINGS)
 
+LEAST, LARGEST = -(2**31), 2**31 - 1
 LAS = "a complete LAS or LAZ file"
 
 # Degrees per unit of the LAS 1.4 field ``scan_angle`` (LAS 1.4 R15, point formats 6-10).
@@ -65,13 +66,20 @@ class Piece(NamedTuple):
 def read_cloud(path: str | os.PathLike, *, columns: Sequence[str] | None = None) -> Cloud:
     """Read a cloud file whole.
 
+    Points that their producer took out of the surface are left out with a count, as the LAS
+    standard asks of its readers: withheld ones, and noise (classes 7 and 18), which would widen
+    hulls and turn planes. So are records that are no points: coordinates that are not finite, that
+    overflowed, or that stand for no data (-9999; 0, 0, 0 far from all others). What is a measured
+    surface in the eyes of some is kept with a count: synthetic points, which may be a whole cloud,
+    overlap, and later returns of a pulse, since a density counts returns.
+
     Parameters
     ----------
     path : path
         LAS 1.2-1.4, LAZ or COPC (``.las``, ``.laz``), PLY (``.ply``) or text (``.txt``, ``.csv``,
         ``.xyz``). Columns of text stand between white space, commas or semicolons; a header names
         x, y, z or easting, northing, height, in any order among others; without a header x, y, z
-        come first. ``#`` and ``//`` begin a comment.
+        come first. ``#``, ``//`` and ``%`` begin a comment. PTS (``.pts``) and ``.asc`` are text.
     columns : sequence of str, optional
         The per-point columns to keep; all when not given.
 
@@ -93,7 +101,8 @@ def read_cloud(path: str | os.PathLike, *, columns: Sequence[str] | None = None)
     Warns
     -----
     UserWarning
-        If points with non-finite coordinates were dropped; says how many.
+        How many points were dropped or are marked, and what speaks against metres
+        (:func:`mmqa_lab.cloud.unit_remarks`).
 
     Examples
     --------
@@ -125,28 +134,30 @@ def iterate_cloud(
     ending = check_choice(path.suffix.lower(), f"cloud {path} with ending", CLOUD_ENDINGS)
     whole = _ply_pieces if ending == ".ply" else _text_pieces
     pieces = _las_pieces(path, chunk, columns) if ending in LAS_ENDINGS else whole(path)
-    read, dropped, counted, first = 0, Counter(), Counter(), True
+    read, dropped, counted = 0, Counter(), Counter()
     for piece in pieces:
         left, said = _marked(piece)
-        out = np.any([*left.values()], axis=0)
+        out = np.any([np.zeros(len(piece.points), bool), *left.values()], axis=0)
         dropped.update({reason: int(mask.sum()) for reason, mask in left.items()})
         counted.update({reason: int((mask & ~out).sum()) for reason, mask in said.items()})
         read, attributes = read + len(out), piece.columns
         if columns is not None:
             check_columns(attributes, columns, f"cloud {path}")
             attributes = {name: attributes[name] for name in columns}
-        kept = {name: values[~out] for name, values in attributes.items()}
-        cloud = Cloud(piece.points[~out], kept, path.stem, **piece.about)
-        if first:
+        points = piece.points
+        if left:
+            points = points[~out]
+            attributes = {name: values[~out] for name, values in attributes.items()}
+        cloud = Cloud(points, attributes, path.stem, **piece.about)
+        if read == len(out):  # the first piece
             share = len(out) / max(piece.total, len(out), 1)
-            _warn(path, unit_remarks(cloud, crs=cloud.crs, share=share))
-        first = False
+            for remark in unit_remarks(cloud, crs=cloud.crs, share=share):
+                warnings.warn(f"{path}: {remark}", stacklevel=3)
         yield cloud
     for verb, found in (("Dropped", dropped), ("Counted", counted)):
-        _warn(
-            "",
-            [f"{verb} {n} of {read} points of {path} that {why}." for why, n in found.items() if n],
-        )
+        for reason, count in found.items():
+            told = f"{verb} {count} of {read} points of {path} that {reason}."
+            warnings.warn(told, stacklevel=3)
 
 
 def write_cloud(path: str | os.PathLike, cloud: Cloud | ArrayLike, *, scale: float = 0.001) -> None:
@@ -221,7 +232,7 @@ def _storable(name, values, field):
         row, kind = int(bad.argmax()), "degrees" if angle else "whole numbers"
         wanted = f"{kind} from {low} to {high}"
         raise ValueError(f"Invalid {name} {values[row]} in row {row + 1}. Must be {wanted}.")
-    return np.round(numbers / SCAN_ANGLE_STEP).astype(np.int16) if angle else values
+    return np.round(numbers / SCAN_ANGLE_STEP if angle else numbers).astype(np.int64)
 
 
 def _las_pieces(path, chunk, columns):
@@ -249,12 +260,16 @@ def _las_pieces(path, chunk, columns):
             with reading(path, "cloud", LAS):
                 attributes = {name: np.array(part[name]) for name in names}
                 points = np.stack([part.x, part.y, part.z], axis=1)
-                raw = np.stack([part.X, part.Y, part.Z], axis=1)
+                raw = [np.asarray(part[axis]) for axis in "XYZ"]
             if "scan_angle" in attributes:
                 attributes["scan_angle"] = attributes["scan_angle"] * SCAN_ANGLE_STEP
-            ends = np.iinfo(np.int32)
-            over = ((raw == ends.min) | (raw == ends.max)).any(axis=1)
-            outside = ((points < low) | (points > high)).any(axis=1)
+            over = outside = np.zeros(1, bool)
+            for axis in raw:
+                if axis.min() == LEAST or axis.max() == LARGEST:
+                    over = over | (axis == LEAST) | (axis == LARGEST)
+            box = extent(points)
+            if not ((box[0] >= low) & (box[1] <= high)).all():
+                outside = ((points < low) | (points > high)).any(axis=1)
             left = {"hold the least or largest integer, an overflow of their 32 bits": over}
             said = {"lie outside the box that its header states": outside}
             yield Piece(points, attributes, about, header.point_count, left, said)
@@ -298,42 +313,50 @@ def _text_pieces(path):
 
 def _marked(piece):
     """Masks of the points of a piece to leave out, and of those to mention, by the reason."""
-    points, none = piece.points, np.zeros(len(piece.points))
+    points, none = piece.points, np.zeros(1, np.uint8)
     numbers = {name.lower(): v for name, v in piece.columns.items() if v.dtype.kind in "biuf"}
     withheld, kind, synthetic, overlap, number, returns = (numbers.get(n, none) for n in MARKS)
+    several = number.max(initial=0) > 1 and ((number == 1) & (returns > 1)).any()
+    old = kind == OLD_OVERLAP if "overlap" not in numbers else none
     left = {
         **piece.left,
-        "are not finite": ~np.isfinite(points).all(axis=1),
-        "stand for no data": _no_data(points),
+        **_no_points(points),
         "are marked as withheld": withheld > 0,
-        "are of a noise class, 7 or 18": np.isin(kind, NOISE),
+        "are of a noise class, 7 or 18": (kind == NOISE[0]) | (kind == NOISE[1]),
     }
-    several = ((number == 1) & (returns > 1)).any()
     said = {
         **piece.said,
         "are marked as synthetic": synthetic > 0,
-        "are marked as overlap": (overlap > 0)
-        | ((kind == OLD_OVERLAP) & ("overlap" not in numbers)),
+        "are marked as overlap": (overlap > 0) | (old > 0),
         "are later returns of their pulses": (number > 1) & several,
     }
-    return left, said
+    whole = len(points)
+    return [
+        {why: np.broadcast_to(m, whole) for why, m in one.items() if m.any()}
+        for one in (left, said)
+    ]
 
 
-def _no_data(points):
-    """Mask of the rows that stand for no point: -9999 and the like, and 0, 0, 0 far from others."""
+def _no_points(points):
+    """Masks of rows that are not finite, and of those that stand for no point.
+
+    These have -9999 and the like as height or as easting and northing, or 0, 0, 0 far from others.
+    """
+    if not len(points):
+        return {}
+    low, high = extent(points)
+    inside = (low > -FARTHEST_M).all() and (high < FARTHEST_M).all()  # false for NaN
+    if inside and low.min() > max(NO_DATA) and not ((low <= 0) & (high >= 0)).all():
+        return {}
+    finite = np.isfinite(points).all(axis=1)
     x, y, z = points.T
     none = np.isin(z, NO_DATA) | ((x == y) & np.isin(x, NO_DATA))
-    none |= np.isfinite(points).all(axis=1) & (np.abs(points) > FARTHEST_M).any(axis=1)
+    none |= finite & (np.abs(points) > FARTHEST_M).any(axis=1)
     zeros = (points == 0).all(axis=1)
-    if zeros.any() and not zeros.all():
-        middle = np.nanmedian(points[~zeros & ~none], axis=0)
-        spread = np.nanmedian(np.abs(points[~zeros & ~none] - middle), axis=0)
+    others = points[finite & ~zeros & ~none]
+    if zeros.any() and len(others):
+        middle = np.median(others, axis=0)
+        spread = np.median(np.abs(others - middle), axis=0)
         far = (np.abs(middle) > FAR_FROM_ZERO_M + 20 * spread).any()
         none |= zeros & (far or zeros.sum() > MOST_ZEROS)
-    return none
-
-
-def _warn(path, remarks):
-    """Warn of each remark on a file."""
-    for remark in remarks:
-        warnings.warn(f"{path}: {remark}" if path else remark, stacklevel=4)
+    return {"are not finite": ~finite, "stand for no data": none}

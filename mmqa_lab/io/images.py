@@ -17,9 +17,10 @@ from mmqa_lab.io.files import HEAD, reading
 from mmqa_lab.io.systems import USER_DEFINED, named_system, system_of_keys
 from mmqa_lab.io.tables import NO_HEIGHT_M
 
-__all__ = ["read_bands", "read_heights", "read_image"]
+__all__ = ["IMAGE_ENDINGS", "read_bands", "read_heights", "read_image"]
 
 TIFF_ENDINGS = (".tif", ".tiff")
+IMAGE_ENDINGS = (*TIFF_ENDINGS, ".jpg", ".jpeg", ".png")
 IMAGES = "a complete JPEG, PNG or TIFF file of 8 or 16 bits"
 RASTERS = "a GeoTIFF of one band with north upwards and an EPSG number"
 
@@ -201,8 +202,8 @@ def read_heights(path: str | os.PathLike, *, crs: object = None) -> np.ndarray:
     check_same_crs(f"reference {path}", cloud.crs, "cloud", crs)
     high = np.abs(cloud.points[:, 2]) >= NO_HEIGHT_M
     if high.all():
-        low, most = cloud.points[:, 2].min(initial=0), cloud.points[:, 2].max(initial=0)
-        found = f"heights of {low:.6g} to {most:.6g}" if len(cloud) else "no height"
+        ends = [f"{end:.6g}" for end in np.sort(cloud.points[:, 2])[[0, -1]]] if len(high) else []
+        found = f"heights of {' to '.join(ends)}" if ends else "no height"
         raise ValueError(f"Invalid reference {path}: {found}. Must be below {NO_HEIGHT_M:.0f} m.")
     lost = max(total - len(cloud), 0) + int(high.sum())
     if lost:

@@ -15,7 +15,9 @@ from mmqa_lab.io.files import plain_text, reading, write_atomically
 from mmqa_lab.io.systems import named_system
 from mmqa_lab.io.tables import coordinate_columns, text_table, with_numbers
 
-__all__ = ["read_polygon", "write_polygon"]
+__all__ = ["OUTLINE_ENDINGS", "read_polygon", "write_polygon"]
+
+OUTLINE_ENDINGS = (".json", ".geojson")
 
 # A surface narrower than this is no surface: its vertices are degrees.
 NARROWEST_M = 0.001
@@ -57,7 +59,7 @@ def read_polygon(source: str | os.PathLike, *, crs: object = None) -> np.ndarray
         except ValueError as error:
             raise ValueError(f"Invalid polygon {text!r}. Must be 'x,y,z; x,y,z; x,y,z'.") from error
         return check_polygon(vertices)
-    if check_file(source, "polygon").suffix.lower() in (".json", ".geojson"):
+    if check_file(source, "polygon").suffix.lower() in OUTLINE_ENDINGS:
         return _polygon_of_geojson(Path(source), crs)
     table = text_table(source, "polygon")
     names = coordinate_columns(table.columns)

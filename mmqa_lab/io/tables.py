@@ -96,20 +96,20 @@ def text_table(path: str | os.PathLike, name: str, *, header: str = "") -> pd.Da
     comma = separator != "," and "," in lines[-1][1]
     layout = {"header": None, "comment": "#", "decimal": "," if comma else "."}
     table = _read_csv(stream, what, before=raw.count(b"\n", 0, first), sep=separator, **layout)
-    if separator == "," and _has_split_numbers(words[-5:], names):
+    if separator == "," and _has_split_numbers(words[1:] if names else words, names):
         raise ValueError(f"Invalid {what}: decimal commas between commas. Must be told apart.")
     return _with_names(table, names, what)
 
 
 def _plain_rows(raw):
     """A text with # for every comment, numbers as they are written in C and nan for no number."""
-    if b"//" in raw:
+    if b"/" in raw:
         raw = re.sub(rb"(?<!:)//", b"#", raw)  # an address has : before it
-    if raw[:1] in b"%!" or b"\n%" in raw or b"\n!" in raw:
+    if b"%" in raw or b"!" in raw:
         raw = re.sub(rb"(?m)^[%!]", b"#", raw)
-    if b"1.#" in raw:
+    if b"#" in raw and b"1.#" in raw:
         raw = re.sub(rb"-?1\.#[A-Z]+\d*", b"nan", raw)
-    if any(sign in raw for sign in (b"D+", b"D-", b"d+", b"d-")):
+    if b"D" in raw or b"d" in raw:
         raw = re.sub(rb"(?<=[\d.])[dD](?=[+-]\d)", b"e", raw)
     return raw
 
