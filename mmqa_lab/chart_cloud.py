@@ -190,6 +190,41 @@ class CloudQuality(Shown):
         """Empty-space distance: 95 % of the places within the outline have a point this near."""
         return 1000 * self.empty_space.e95
 
+    def details(self, size: float, *, points: int = 3) -> tuple[float, np.ndarray]:
+        """Return the share of places that would show a detail of a size, and those that would not.
+
+        Parameters
+        ----------
+        size : float
+            Diameter of the detail, m.
+        points : int
+            A detail is shown by so many points or more.
+
+        Returns
+        -------
+        share : float
+            Of the places where the detail lies within the outline; NaN if there are none.
+        missed : array, shape (m, 2)
+            Places that would not show it, along the axes of the quadrants, m.
+
+        Raises
+        ------
+        ValueError
+            If ``size`` is not above zero or ``points`` is not a count.
+
+        Examples
+        --------
+        >>> x, y = np.meshgrid(np.arange(40) * 0.005, np.arange(9) * 0.06)
+        >>> quality = evaluate_cloud(np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1))
+        >>> share, missed = quality.details(0.05)  # lines 6 cm apart
+        >>> round(share, 1), missed.shape[1]
+        (0.8, 2)
+        """
+        reach = check_positive(size, "size", unit="m") / 2
+        found = empty_space(self.xy, outline=self.outline, rank=points)
+        missed = (found.distances > reach) & (found.border >= reach)
+        return found.share(reach), found.places[missed]
+
     def intervals(self) -> pd.DataFrame:
         """Return every figure with its 95 % confidence interval.
 
@@ -257,7 +292,7 @@ class CloudQuality(Shown):
         row |= {name: getattr(self.spacing, name) for name in ("incomplete_share", "coincident")}
         return pd.DataFrame([row | {"axes": self.axes, "remarks": " ".join(self.remarks)}])
 
-    def plot(self, frame: Plane | None = None) -> Figure:
+    def plot(self, frame: Plane | None = None, *, detail: float | None = None) -> Figure:
         """Draw the points and the outline, their distances from the plane, and both histograms.
 
         At most 10,000 points are drawn; the histograms are of all points.
@@ -267,6 +302,8 @@ class CloudQuality(Shown):
         frame : Plane, optional
             The picture is along the axes of this plane and counts from its centre, by default
             along the axes of the quadrants.
+        detail : float, optional
+            Mark the places that would not show a detail of this size, m, by three points.
 
         Returns
         -------
@@ -277,11 +314,13 @@ class CloudQuality(Shown):
         figure, axes = plots.subplots(2, 2, width="double", height_mm=130)
         step, limit = 1 + self.n // SHOWN, 3 * self.sigma_mad_mm
         ring = shapely.get_coordinates(shapely.boundary(self.outline))
-        xy, ring = (
+        missed = np.empty((0, 2)) if detail is None else self.details(detail)[1]
+        xy, ring, missed = (
             (frame or self.plane).project(self.plane.centre + flat @ self.plane.axes)
-            for flat in (self.xy[::step], ring)
+            for flat in (self.xy[::step], ring, missed)
         )
         plots.draw_points(xy, ax=axes[0, 0])
+        axes[0, 0].plot(*missed.T, ".", ms=2, mew=0, color=plots.COLOURS["vermilion"])
         axes[0, 0].plot(*ring.T, color=plots.COLOURS["green"])
         shades = {"vmin": -limit, "vmax": limit, "cmap": plots.DIVERGING_MAP}
         residuals_mm = 1000 * self.plane.residuals[::step]

@@ -1,18 +1,21 @@
 """The evaluation of a chart's cloud: known patterns, brute force, published values, selections."""
 
+import json
+
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mmqa_lab.__main__ import main
 from mmqa_lab.chart_cloud import (
     chart_polygon,
     evaluate_cloud,
     inside_polygon,
 )
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.io import read_cloud
+from mmqa_lab.io import read_cloud, write_cloud
 from mmqa_lab.planes import PAPER_SCALE, fit_plane
 
 CHART = np.array([[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]], dtype=float)
@@ -315,3 +318,26 @@ def test_no_figure_and_no_interval_depends_on_the_order_of_points(seed, in_rows,
     one, other = (evaluate_cloud(p).intervals() for p in (points, rng.permutation(points)))
     figures = ["value", "low", "high"]
     np.testing.assert_allclose(one[figures], other[figures], rtol=1e-6)
+
+
+def test_details_are_missed_between_lines_and_marked_there(rng, tmp_path, capsys):
+    """Discs of 5 cm between lines 10 cm apart; the middle half of each gap shows nothing."""
+    x, y = np.meshgrid(np.arange(0, 1, 0.004), np.arange(0, 1.01, 0.1))
+    points = np.column_stack([x.ravel(), y.ravel(), rng.normal(0, 0.003, x.size)])
+    ring = [[0.02, 0.03, 0], [0.97, 0.03, 0], [0.97, 0.97, 0], [0.02, 0.97, 0]]
+    quality = evaluate_cloud(points, polygon=ring)
+    share, missed = quality.details(0.05)
+    # 48 mm of 100 have three points, 4 mm apart, within 25 mm
+    assert share == pytest.approx(0.48, abs=0.02)
+    place = quality.plane.centre + missed @ quality.plane.axes
+    assert (np.abs((place[:, 1] + 0.05) % 0.1 - 0.05) > 0.024).all()
+    figure = quality.plot(detail=0.05)
+    marked = figure.axes[0].lines[0].get_xydata()
+    plt.close(figure)
+    np.testing.assert_allclose(marked, missed, atol=1e-9)
+    write_cloud(tmp_path / "lines.laz", Cloud(points))
+    words = "; ".join(",".join(map(str, corner)) for corner in ring)
+    main(["evaluate", str(tmp_path / "lines.laz"), "--polygon", words, "--detail=0.05", "--json"])
+    assert json.loads(capsys.readouterr().out)[0]["details_seen"] == pytest.approx(share, abs=0.01)
+    with pytest.raises(ValueError, match=r"Invalid size 0\. Must be > 0 m"):
+        quality.details(0)

@@ -81,13 +81,15 @@ def evaluate(
     polygon: str | None = None,
     rho0: float | None = None,
     intervals: bool = False,
+    detail: float | None = None,
     out: Path | None = None,
 ):
-    """Evaluate the points on one planar surface: density, sigma_MAD, d1..d4 and f.
+    """Evaluate the points on one planar surface: density, sigma_MAD, d1..d4, f, g and e95.
 
     The plane is the orthogonal regression plane of the points; d1..d4 are the medians of the sorted
     distances to the nearest point in each of four quadrants, f = d4/d1 (Pfeifer et al. 2021, doi
-    10.3390/rs13020237). Without a polygon the surface is the whole cloud.
+    10.3390/rs13020237). g compares the spacings across and along scan lines; 95 % of the places of
+    the surface have a point within e95. Without a polygon the surface is the whole cloud.
 
     Parameters
     ----------
@@ -98,7 +100,10 @@ def evaluate(
     rho0
         The density asked for, points per m2. The table then says whether f matters.
     intervals
-        Print a row for each figure, and for g, with its 95 % confidence interval.
+        Print a row for each figure with its 95 % confidence interval.
+    detail
+        Size of details, m. Print the share of places that would show one by three points; the
+        picture marks the others.
     out
         Draw the last cloud into this file: .pdf, .png or .svg.
     """
@@ -113,10 +118,12 @@ def evaluate(
         ring = None if polygon is None else io.read_polygon(polygon, crs=cloud.crs)
         quality = chart_cloud.evaluate_cloud(cloud, polygon=ring, rho0=rho0)
         frame = quality.intervals() if intervals else quality.to_frame()
+        if detail is not None:
+            frame["details_seen"] = quality.details(detail)[0]
         frame.insert(0, "file", file.name)
         rows.append(frame.assign(remarks=" ".join(quality.remarks)))
     if out is not None:
-        write_figure(out, quality.plot)
+        write_figure(out, lambda: quality.plot(detail=detail))
     return pd.concat(rows, ignore_index=True)
 
 
