@@ -150,8 +150,8 @@ def _evaluated(points, index, inner, cell, radius):
     group = np.repeat(np.arange(len(cells)), counts)
     rows = np.flatnonzero(inner)[order]
     local = points[:, :2] - cells[0] * cell
-    distances = quadrant_distances(local, radius=radius, of=inner).T[:, rows]
-    own = points.T[:, rows]
+    distances = quadrant_distances(local, radius=radius, of=inner)
+    distances, own = (np.take(one, rows, axis=0).T.copy() for one in (distances, points))
     deviations = _deviations(own, starts, counts, group)
     off = np.abs(deviations - _medians(deviations, group)[group])
     sigma = np.where(counts >= MINIMUM, CONSISTENT_SCALE * _medians(off, group), np.nan)
