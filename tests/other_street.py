@@ -13,6 +13,7 @@ SCANNERS = {
     "tilted profiler": {"rate": 60_000, "turns": 60, "tilt": 35, "heading": 30, "noise": 0.006},
     "16 beams": {"rate": 40_000, "turns": 10, "beams": np.linspace(-22, 14, 16), "noise": 0.015},
     "32 beams": {"rate": 80_000, "turns": 10, "beams": np.linspace(-26, 18, 32), "noise": 0.015},
+    "64 beams": {"rate": 130_000, "turns": 10, "beams": np.linspace(-25, 15, 64), "noise": 0.015},
     "single sweep": {"rate": 50_000, "turns": 1, "beams": np.linspace(-20, 12, 64), "noise": 0.01},
 }
 """Pulses and turns a second, mounting or elevations in degrees, noise of the range in metres."""
@@ -25,6 +26,7 @@ class OtherStreet:
     """Solids by kind as rows of numbers, and the truth: poles, and edges as pairs of points."""
 
     length: float
+    slope: float = 0.0  # of the road that the vehicle climbs
     cylinders: list = field(default_factory=list)  # ends a, b, radius, pole
     faces: list = field(default_factory=list)  # corner, sides u, v, whether a triangle
     balls: list = field(default_factory=list)  # centre, radius, leaves met on a metre
@@ -190,7 +192,7 @@ def scan(street, scanner, seed):
     time = np.arange(0, 1 if still else street.length / SPEED, 1 / look["rate"])
     direction, line = _directions(look, time)
     y = np.full(len(time), street.length / 2) if still else SPEED * time
-    origin = np.column_stack([0.2 * np.sin(y / 15), y, np.full(len(time), HEIGHT)])
+    origin = np.column_stack([0.2 * np.sin(y / 15), y, HEIGHT + street.slope * y])
     reach, pole = cast(street, origin, direction, rng)
     back = reach < REACH
     reach += rng.normal(0, look["noise"], len(reach))

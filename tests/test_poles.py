@@ -175,7 +175,7 @@ def test_trees_follow_their_nodes_as_lightgbm_does(rng):
 
 def test_trees_are_written_as_they_are_read(tmp_path):
     trees = learned.shipped()
-    learned.write(trees, tmp_path / "trees.csv")
+    learned.write(tmp_path / "trees.csv", trees)
     shipped = learned.FILE.read_bytes()
     assert (tmp_path / "trees.csv").read_bytes() == shipped
     assert len(shipped) < 200_000
@@ -303,11 +303,49 @@ def test_hardly_any_points_have_no_poles(method, n, rng):
         ({"method": "hough"}, "Invalid method 'hough'. Must be one of learned, fgi, itc."),
         ({"threshold": -0.1}, "Invalid threshold -0.1. Must be > 0."),
         ({"method": "fgi"}, "Invalid cloud: columns none. The scan-line method needs scan_line"),
+        (
+            {"method": "itc", "threshold": 0.5},
+            "Invalid choice for itc 'threshold'. Must be one of method, explain.",
+        ),
+        (
+            {"tress": None},
+            "Invalid choice for learned 'tress'. Must be one of method, explain, thr",
+        ),
     ],
 )
 def test_bad_input_gets_a_sentence(choices, sentence):
     with pytest.raises(ValueError, match=sentence.replace(".", r"\.")):
         poles.detect(floor(2.0), **choices)
+
+
+@pytest.mark.parametrize("method", ["learned", "itc"])
+@pytest.mark.parametrize("far", [(2e6, 0, 0), (-3e5, 8e5, 50)])
+def test_one_point_far_away_changes_nothing_and_costs_no_memory(method, far, rng):
+    points = scene(post(0.5, 1.0), post(3.5, 1.0, line=200), wall(-4, 4, -3), rng=rng).points
+    found = poles.detect(points, method=method)
+    other = poles.detect(np.vstack([points, far]), method=method)
+    assert len(found) == len(other) == 2
+    # borders of voxels are rounded to 1e-10 m, so a point may change its voxel
+    columns = ["x_m", "y_m", "score"]
+    assert np.allclose(found[columns], other[columns], atol=2e-3)
+
+
+@pytest.mark.parametrize("turn", [0, 20, 45])
+def test_square_shafts_have_a_section_and_no_diameter(turn, rng):
+    turn, side = np.radians(turn), np.linspace(-0.1, 0.1, 14)
+    faces = np.concatenate(
+        [np.column_stack([side, 0 * side - 0.1]), np.column_stack([0 * side - 0.1, side])]
+    )
+    plan = faces @ [[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]] + [0.5, 1.0]
+    shaft = np.column_stack([np.tile(plan, (120, 1)), np.repeat(np.arange(120) * 0.025, len(plan))])
+    found = poles.detect(
+        np.vstack([floor(), shaft]) + rng.normal(0, 0.002, (len(floor()) + len(shaft), 3))
+    )
+    one = found.squeeze()
+    assert np.isnan(one[["diameter_m", "diameter_low_m"]].astype(float)).all()
+    assert 0.19 < one["section_m"] < 0.29  # a side to the diagonal
+    round_ = poles.detect(scene(post(0.5, 1.0, radius=0.1), rng=rng)).squeeze()
+    assert round_["section_m"] == round_["diameter_m"]
 
 
 def test_feet_are_refused_by_the_coordinate_system():

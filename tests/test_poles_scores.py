@@ -108,3 +108,11 @@ def test_nothing_found_and_nothing_to_find():
     assert result.recall.value == 0
     assert np.isnan(result.precision.value)
     assert np.isnan(poles.score(nothing, nothing).recall.value)
+
+
+@pytest.mark.parametrize("said", ["no", "false", 2, None])
+def test_visible_is_true_or_false_and_nothing_else(said):
+    with pytest.raises(ValueError, match=r"Invalid references: visible is .* in row 1\. Must be"):
+        poles.score(table([[0, 0]]), table([[0, 0], [5, 0]]).assign(visible=[True, said]))
+    numbers = table([[0, 0], [5, 0]]).assign(visible=[1, 0])
+    assert poles.score(table([[0, 0]]), numbers).recall.n == 1

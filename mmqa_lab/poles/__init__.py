@@ -7,10 +7,17 @@
     result.recall, result.precision
 
 ``fgi`` follows scan lines (Lehtomaki et al. 2010), ``itc`` connected components (Pu et al. 2011).
-``learned`` uses 25 named measures and 200 small trees.
+``learned`` uses 24 named measures and 150 small trees.
+
+A pole is an upright shaft (tilt at most 15 degrees) of 1 m or more that stands free, at least six
+times as high as wide with what it carries: lamps, signs, masts, trunks and slender bollards are
+poles. Pillars of gates, columns that carry a building, posts of fences and terraces, scaffolding
+and wires are none.
 """
 
 from __future__ import annotations
+
+import warnings
 
 import numpy as np
 import pandas as pd
@@ -23,6 +30,12 @@ from mmqa_lab.poles.scores import Score, match, score
 
 METHODS = {"learned": "learned", "fgi": "scan lines (FGI)", "itc": "components (ITC)"}
 """The detectors by name, with their labels in figures."""
+
+CHOICES = {"learned": ("threshold", "trees"), "fgi": (), "itc": ()}
+"""Further choices of each detector."""
+
+TALL_M, SEVERAL = 9.0, 5
+"""Half of so many poles are rarely higher: are the coordinates in feet?"""
 
 __all__ = ["METHODS", "Score", "detect", "match", "score"]
 
@@ -51,8 +64,9 @@ def detect(
         One row per pole, from south to north: ``id`` from 1; ``x_m``, ``y_m`` (the axis at half the
         height), ``z_base_m``, ``height_m`` (of the pole-like part), ``diameter_m`` (halfway up it),
         ``tilt_deg``, ``lean_x``, ``lean_y`` (m/m), ``score`` (0 to 1), ``method``. NaN where a
-        value is not measurable. ``learned`` adds the ends of a 95 % confidence interval of the
-        diameter; square shafts have neither.
+        value is not measurable. ``learned`` adds ``diameter_low_m`` and ``diameter_high_m``, a 95 %
+        confidence interval; square shafts have no diameter. It adds ``section_m``, the diameter
+        or else the width of what is seen: ``found[found["section_m"] < 0.35]`` leaves pillars out.
 
     Raises
     ------
@@ -78,6 +92,8 @@ def detect(
     """
     check_choice(method, "method", tuple(METHODS))
     module = {"learned": learned, "fgi": fgi, "itc": itc}[method]
+    for name in choices:
+        check_choice(name, f"choice for {method}", ("method", "explain", *CHOICES[method]))
     if "threshold" in choices:
         check_positive(choices["threshold"], "threshold")
     cloud = points if isinstance(points, Cloud) else Cloud(points)
@@ -85,6 +101,12 @@ def detect(
     origin = np.floor(cloud.points.min(axis=0)) if len(cloud) else np.zeros(3)
     lines = (fgi.scan_lines(cloud),) if method == "fgi" else ()
     found = module.detect(cloud.points - origin, *lines, explain=explain, **choices)
+    if not explain and len(found) >= SEVERAL and found["height_m"].median() > TALL_M:
+        warnings.warn(
+            f"Half of the {len(found)} poles are higher than {found['height_m'].median():.1f} m. "
+            "Are the coordinates in feet? They are taken for metres.",
+            stacklevel=2,
+        )
     found.insert(0, "id", np.arange(1, len(found) + 1))
     found[["x_m", "y_m", "z_base_m"]] += origin
     return found

@@ -1,5 +1,7 @@
 """Functions shared by the detectors: ground, pairs of places and points, table of poles."""
 
+from functools import partial
+
 import numpy as np
 import pandas as pd
 from scipy import ndimage
@@ -9,8 +11,13 @@ from scipy.spatial import cKDTree
 
 from mmqa_lab.cloud import sort_into_cells
 
+__all__ = ["drop_duplicates", "first_reason", "ground", "joined", "pairs", "table"]
+
 GROUND_CELL_M, GROUND_WINDOW, GROUND_STEP_M = 1.0, 9, 0.5
 """Cell, window (cells) and step: low points higher than the opening by the step are no ground."""
+
+MOST_CELLS = 200_000_000
+"""Cells of the ground that are held at a time."""
 
 ROOF_WINDOW, ROOF_M = 13, 2.5
 """Low points this much above the lowest cell of a window are no ground: nothing is seen behind a
@@ -44,9 +51,18 @@ def ground(points):
     points = points[points[:, 2].argsort()]
     order, starts, places = sort_into_cells(points[:, :2], GROUND_CELL_M)
     third = order[np.minimum(starts[:-1] + 2, starts[1:] - 1)]
-    low = places.min(axis=0)
-    lowest = np.full(places.max(axis=0) - low + 1, np.inf)
-    lowest[tuple((places - low).T)] = points[third, 2]
+    squeezed = [_squeezed(axis) for axis in places.T]
+    places = np.column_stack(
+        [squeeze(axis) for squeeze, axis in zip(squeezed, places.T, strict=True)]
+    )
+    size = places.max(axis=0).astype(np.int64) + 1
+    if size.prod() > MOST_CELLS:
+        raise ValueError(
+            f"Invalid cloud of {size[0]} m by {size[1]} m without its gaps. "
+            f"Must be handed over in parts of at most {MOST_CELLS:.0e} m2."
+        )
+    lowest = np.full(size, np.inf)
+    lowest[tuple(places.astype(np.int64).T)] = points[third, 2]
     filled = _filled(lowest, np.isfinite(lowest))
     opened = ndimage.grey_opening(filled, size=(GROUND_WINDOW, GROUND_WINDOW), mode="nearest")
     known = lowest - opened <= GROUND_STEP_M  # the lowest cell of all is always known
@@ -55,10 +71,21 @@ def ground(points):
 
     def height(xy):
         """Height of the ground at places (m, 2) or (m, 3)."""
-        place = (np.asarray(xy)[:, :2] / GROUND_CELL_M - low).T - 0.5
+        axes = np.asarray(xy)[:, :2].T / GROUND_CELL_M - 0.5
+        place = [at(axis) for at, axis in zip(squeezed, axes, strict=True)]
         return ndimage.map_coordinates(grid, place, order=1, mode="nearest")
 
     return height
+
+
+def _squeezed(cells):
+    """Function of places along an axis, in cells: from 0, gaps cut to twice the window of a roof.
+
+    So a stray point far away costs no memory, and nothing nearby changes.
+    """
+    used = np.unique(cells)
+    gaps = np.minimum(np.diff(used), 2 * ROOF_WINDOW)
+    return partial(np.interp, xp=used, fp=np.append(0, np.cumsum(gaps)))
 
 
 def _filled(values, known):

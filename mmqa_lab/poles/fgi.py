@@ -11,12 +11,16 @@ of duplicates are ours. Section 3.1.3.2 removes isolated points and points of lo
 method keeps them.
 """
 
+import warnings
+
 import numpy as np
 import pandas as pd
 from scipy.spatial import cKDTree
 
 from mmqa_lab.poles.common import drop_duplicates, first_reason, joined, principal_axes, table
 from mmqa_lab.scan_pattern import revolutions_from_time
+
+__all__ = ["chord_diameter", "detect", "scan_lines", "segment_lines"]
 
 GROUP_M, MISSING = 0.10, 2
 """A line is cut where neighbours are farther apart (m), or more pulses are missing between them."""
@@ -26,6 +30,9 @@ WIDEST_M, FEWEST = 0.45, 3
 
 OVERLAP_M, NEIGHBOURS = 0.03, 2
 """Largest gap in plan (m) and largest difference of line numbers between groups of a cluster."""
+
+STEEP = 0.8
+"""Rise by length of a steep stretch of a scan line."""
 
 MERGE_M, MERGE_DEG, GAP_M, SHORT_M = 0.20, 12.0, 2.0, 0.5
 """Largest distance (m), angle (degrees) and gap (m) of coaxial clusters. A cluster shorter than
@@ -59,6 +66,7 @@ def detect(points, lines, *, explain=False):
     order = np.lexsort(lines[::-1])
     points, line, pulse = points[order], lines[0][order], lines[1][order]
     group, groups = segment_lines(points, line, pulse)
+    _warn_of_upright(groups)
     member = np.append(_clusters(groups), -1)[group]  # -1, no group, takes the last
     everything, kept = cKDTree(points), member >= 0
     points, line = points[kept], line[kept]
@@ -101,18 +109,34 @@ def segment_lines(points, line, pulse):
     group : array of int, shape (n,)
         Group of each point, -1 where the group was too long or too small.
     groups : dict of str to array
-        Of each accepted group: ``centre`` (k, 3), half its chord ``half`` (k,), ``line`` (k,).
+        Of each accepted group: ``centre`` (k, 3), half its chord ``half`` (k,), ``line`` (k,); of
+        each group that is too long its rise by its length, ``rise`` (m,).
     """
     apart = np.linalg.norm(np.diff(points, axis=0), axis=1) > GROUP_M
     broken = apart | (np.diff(line) != 0) | (np.diff(pulse) > MISSING + 1)
     first = np.flatnonzero(np.append(True, broken)[: len(points)])
     count = np.diff(np.append(first, len(points)))
-    chord = np.linalg.norm(points[first + count - 1] - points[first], axis=1)
+    way = points[first + count - 1] - points[first]
+    chord = np.linalg.norm(way, axis=1)
     good = (count >= FEWEST) & (chord <= WIDEST_M)
     number = np.where(good, np.cumsum(good) - 1, -1)
     centre = np.add.reduceat(points, first, axis=0) / count[:, None]
     kept = {"centre": centre[good], "half": chord[good] / 2, "line": line[first][good]}
+    too_long = chord > WIDEST_M
+    kept["rise"] = np.abs(way[too_long, 2]) / chord[too_long]
     return np.repeat(number, count), kept
+
+
+def _warn_of_upright(groups):
+    """Warn if the steep among the long groups are upright: then poles lie along scan lines."""
+    steep = groups["rise"][groups["rise"] > STEEP]
+    upright = steep > np.cos(np.radians(TILT_DEG))
+    if len(steep) >= FEWEST and upright.mean() > 0.5:
+        warnings.warn(
+            f"{upright.sum()} upright stretches of scan lines are longer than {WIDEST_M} m: "
+            "profiles run along poles, where the scan-line method finds none.",
+            stacklevel=2,
+        )
 
 
 def _clusters(groups):
@@ -225,33 +249,35 @@ def chord_diameter(points, direction, line):
 def scan_lines(cloud):
     """Return the scan line (n,) and the number of the pulse (n,) of each point of a cloud.
 
-    They come from ``scan_line`` and ``pulse`` (or ``gps_time``). Without ``scan_line`` a line ends
-    in the pause of ``gps_time`` that all revolutions share. Lines of different ``head`` are no
-    neighbours.
+    Lines are those of ``scan_line``. Without it a line ends in the pause of ``gps_time`` that all
+    revolutions share. Pulses are those of ``pulse``. Without it they are counted from ``gps_time``,
+    in steps of its median. Lines of different ``head`` are no neighbours.
 
     Raises
     ------
     ValueError
-        If the cloud has neither column, or the times show no pause.
+        If the cloud has neither ``gps_time`` nor both others, or the times show no pause.
     """
-    along = next((cloud[name] for name in ("pulse", "gps_time") if name in cloud), None)
-    if along is None:
+    if "gps_time" not in cloud and not {"scan_line", "pulse"} <= set(cloud.columns):
         columns = ", ".join(cloud.columns) or "none"
         raise ValueError(
             f"Invalid cloud: columns {columns}. The scan-line method needs scan_line and pulse or "
             "gps_time, or gps_time with pauses."
         )
+    if not len(cloud):
+        return np.zeros(0, np.int64), np.zeros(0)
     heads = [cloud[name] for name in ("head", "point_source_id") if name in cloud]
     head = np.unique([*heads, np.zeros(len(cloud))], axis=1, return_inverse=True)[1]
-    place = np.asarray(along, np.float64)
     if "scan_line" in cloud:
         line = np.asarray(cloud["scan_line"], np.int64)
     else:
-        line = pd.Series(place).groupby(head).transform(revolutions_from_time).to_numpy()
-    line = line - line.min(initial=0) + head * (np.ptp(line) + 10 if len(line) else 0)
-    if np.array_equal(place, np.floor(place)):
-        return line, place
-    order = np.lexsort([place, line])
-    steps = np.diff(place[order])[np.diff(line[order]) == 0]
+        times = pd.Series(np.asarray(cloud["gps_time"], np.float64))
+        line = times.groupby(head).transform(revolutions_from_time).to_numpy()
+    line = line - line.min() + head * (np.ptp(line) + NEIGHBOURS + 1)
+    if "pulse" in cloud:
+        return line, np.asarray(cloud["pulse"], np.float64)
+    time = np.asarray(cloud["gps_time"], np.float64)
+    order = np.lexsort([time, line])
+    steps = np.diff(time[order])[np.diff(line[order]) == 0]
     step = np.median(steps[steps > 0]) if (steps > 0).any() else 1.0
-    return line, np.round((place - place.min()) / step)
+    return line, np.round((time - time.min()) / step)

@@ -18,6 +18,8 @@ from scipy.spatial import cKDTree
 from mmqa_lab.cloud import sort_into_cells
 from mmqa_lab.poles.common import drop_duplicates, ground, joined, principal_axes, table
 
+__all__ = ["detect", "walls"]
+
 GROUND_M = 0.3
 """Points lower than this above the ground belong to the ground."""
 

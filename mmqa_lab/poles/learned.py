@@ -17,9 +17,11 @@ from scipy import ndimage
 from mmqa_lab.cloud import sort_into_cells
 from mmqa_lab.poles.common import drop_duplicates, first_reason, ground, pairs, table
 
+__all__ = ["MEASURES", "Trees", "describe", "detect", "grow", "lessons", "shipped", "write"]
+
 VOXEL_M = 0.04
-PLACES = ((0, 0, 0), (0.5, 0.5, 0.5), (0.25, 0.75, 0.25), (0.75, 0.25, 0.75))
-"""Shifts of the thinning grid, in voxels; scores are averaged over them."""
+PLACES = ((0, 0, 0, 0), (0.5, 0.5, 0.5, 22), (0.25, 0.75, 0.25, 45), (0.75, 0.25, 0.75, 67))
+"""Shifts (voxels) and turns (degrees) of the thinning grid; scores are averaged over them."""
 
 GRID_M, BIN_M, BINS = 0.1, 0.25, 64
 """Plan cells of candidates; height bins and their number, 16 m in all."""
@@ -63,6 +65,8 @@ MEASURES = {
     "around_mid": ("the same, 1 to 2.5 m high", 0),
     "around_high": ("the same, 2.5 to 5 m high", 0),
     "around_top": ("the same, above 5 m", 0),
+    "wide_m": ("extent of the run's points in plan, as of a straight line as scattered", 0),
+    "slim": ("height of the highest point within 1 m, by that extent", 1),
 }
 """Features of a candidate: description, and whether the score may only rise (1) or fall (-1)."""
 
@@ -75,22 +79,41 @@ class Thin(NamedTuple):
     coarse: np.ndarray
 
 
-def thinned(points, height_of, place=(0, 0, 0)):
+def thinned(points, height_of, place=PLACES[0]):
     """Return the ``Thin`` cloud: the mean point of each voxel, and the centres of coarse cells.
 
-    Points (n, 3) in metres; ``height_of`` gives the ground; ``place`` shifts the grid, in voxels.
+    Points (n, 3) in metres; ``height_of`` gives the ground; ``place`` is one of ``PLACES``.
     """
-    order, starts, _ = sort_into_cells(points + VOXEL_M * np.array(place), VOXEL_M)
+    if not len(points):
+        return Thin(points, points[:, 2], points)
+    turn = np.exp(1j * np.radians(place[3]))
+    turned = points @ [[turn.real, turn.imag, 0], [-turn.imag, turn.real, 0], [0, 0, 1]]
+    order, starts, _ = sort_into_cells(turned + VOXEL_M * np.array(place[:3]), VOXEL_M)
     sums = [np.add.reduceat(axis[order], starts[:-1]) for axis in points.T]  # no copy of the cloud
     centres = np.column_stack(sums) / np.diff(starts)[:, None]
-    height = centres[:, 2] - height_of(centres)
-    used = (height > LOW_M) & (height < BINS * BIN_M)
-    centres, height = centres[used], height[used]
-    if not len(centres):
-        return Thin(centres, height, centres)
+    height = (centres[:, 2] - height_of(centres)).clip(0, BINS * BIN_M - 1e-6)
     cells = np.column_stack([centres[:, :2], height * (COARSE_M / 0.5)])
     coarse = (sort_into_cells(cells, COARSE_M)[2] + 0.5) * [COARSE_M, COARSE_M, 0.5]
     return Thin(centres, height, coarse)
+
+
+PLOT_M, TABLE = 1.5, 2**20
+"""Side of a plot, not less than the reach of any measure of thinned points; places of a table."""
+
+
+def around(points, axes):
+    """Return the points (n, 3) on the plots of the axes and on those that touch them.
+
+    Plots are looked up by remainders of their numbers, so a few other plots come along.
+    """
+
+    def remainder(plot):
+        return (plot[..., 0] * 73_856_093 ^ plot[..., 1] * 19_349_663) % TABLE
+
+    steps = np.stack(np.meshgrid(*[(-1, 0, 1)] * 2), axis=-1).reshape(-1, 2)
+    wanted = np.zeros(TABLE, bool)
+    wanted[remainder(np.floor(axes[:, None, :2] / PLOT_M).astype(np.int64) + steps)] = True
+    return points[wanted[remainder(np.floor(points[:, :2] / PLOT_M).astype(np.int64))]]
 
 
 SCALES = ((1, 4), (2, 5), (4, 7), (1, 0))
@@ -208,7 +231,26 @@ def longest_runs(flags):
     return best[0], best[1]
 
 
-def measure(thin, axes):
+class Near(NamedTuple):
+    """Thinned points near k axes: number of the axis, offset from it (n, 2), distance, height."""
+
+    axis: np.ndarray
+    off: np.ndarray
+    across: np.ndarray
+    height: np.ndarray
+    k: int
+
+    def held(self, which):
+        """Number of the points per axis and bin, (k, bins)."""
+        place = self.axis[which] * BINS + (self.height[which] / BIN_M).astype(np.int64)
+        return np.bincount(place, minlength=self.k * BINS).reshape(self.k, BINS)
+
+    def some(self, which):
+        """The chosen points."""
+        return Near(*(part[which] for part in self[:4]), self.k)
+
+
+def measure(thin, axes, coarse=None):
     """Return the ``MEASURES`` of axes (k, 5) as a DataFrame, and the extent of each shaft.
 
     Returns
@@ -217,70 +259,89 @@ def measure(thin, axes):
         The shaft: ``low``, ``high`` (k,) of the run above ground, ``centre`` (k, 2) of the circle
         beside the axis, metres.
     """
-    k, out = len(axes), {}
     a, b = pairs(axes[:, :2], thin.points, REACH_M + 0.3)
-    rise = thin.height[b] - axes[a, 4]
-    off = thin.points[b, :2] - axes[a, :2] - axes[a, 2:4] * rise[:, None]
-    across, height = np.hypot(*off.T), thin.height[b]
-    near = across < REACH_M
-    a, off, across, height = a[near], off[near], across[near], height[near]
-    level = (height / BIN_M).astype(np.int64)
+    height = thin.height[b]
+    off = thin.points[b, :2] - axes[a, :2] - axes[a, 2:4] * (height - axes[a, 4])[:, None]
+    near = Near(a, off, np.hypot(*off.T), height, len(axes))
+    near = near.some(near.across < REACH_M)
+    runs, low, high = _runs(near)
+    in_run = (near.height >= low[near.axis]) & (near.height < high[near.axis])
+    core = runs["core_m"][near.axis]
+    beside = near.some(in_run & (near.across > core + 0.03))
+    around_run = _beside(near, beside, low, high)
+    rounds, centre = _shape(near.some(in_run & (near.across <= core)), runs["run_m"], high - low)
+    top = np.zeros(near.k)
+    np.maximum.at(top, near.axis, near.height)
+    rounds["slim"] = np.minimum(top / (rounds["wide_m"] + 0.02), 100)
+    rounds["top_m"] = BIN_M * np.floor(top / BIN_M)
+    found = runs | around_run | rounds | _wide(thin.coarse if coarse is None else coarse, axes)
+    shaft = {"low": low, "high": high, "centre": centre}
+    return pd.DataFrame(found)[list(MEASURES)].round(4), shaft
+
+
+def _filled(counts, first, last):
+    """Share of the bins from first to last with points."""
     bins = np.arange(BINS)
+    inside = (bins >= first[:, None]) & (bins < last[:, None]) & (counts > 0)
+    return inside.sum(axis=1) / np.maximum(last - first, 1)
 
-    def held(which):
-        """Number of points per candidate and bin."""
-        return np.bincount(a[which] * BINS + level[which], minlength=k * BINS).reshape(k, BINS)
 
-    def filled(counts, first, last):
-        """Share of the bins from first to last with points."""
-        inside = (bins >= first[:, None]) & (bins < last[:, None]) & (counts > 0)
-        return inside.sum(axis=1) / np.maximum(last - first, 1)
-
-    cores = [held(across <= r) for r in RADII_M]
-    shells = [held((across > r) & (across <= r + SHELL_M)) for r in RADII_M]
+def _runs(near):
+    """Measures of the clean runs, and the ends of the run above ground (k,), metres."""
+    cores = [near.held(near.across <= r) for r in RADII_M]
+    shells = [near.held((near.across > r) & (near.across <= r + SHELL_M)) for r in RADII_M]
     runs = [longest_runs((c > 0) & (s <= CLEAN * c)) for c, s in zip(cores, shells, strict=True)]
     clean = np.array([last - first for first, last in runs])
     chosen = (clean >= NARROW * clean.max(axis=0)).argmax(axis=0)
-    rows = np.arange(k)
-    core, shell = np.array(cores)[chosen, rows], np.array(shells)[chosen, rows]
+    rows = np.arange(near.k)
     low, high = np.array(runs)[chosen, :, rows].T
-    first, last = longest_runs(core > 0)
+    first, last = longest_runs(np.array(cores)[chosen, rows] > 0)
     low, high = np.where(high > low, low, first), np.where(high > low, high, last)
-    out["run_m"] = BIN_M * clean[chosen, rows]
-    out |= {"clean_150_m": BIN_M * clean[1], "clean_400_m": BIN_M * clean[3]}
-    radius = RADII_M[chosen]
-    out |= {"core_m": radius, "low_m": BIN_M * low, "column_m": BIN_M * (last - first)}
-    in_run = (level >= low[a]) & (level < high[a])
-    own = in_run & (across <= radius[a])
-    n = np.bincount(a[own], minlength=k)
-    out["points"] = np.log1p(n / np.maximum(BIN_M * (high - low), BIN_M))
-    out["above_shell"] = filled(shell, high, np.minimum(high + 8, BINS))
-    over = (level >= high[a]) & (level < high[a] + 3)
-    cell = np.floor(off / 0.25).astype(np.int64) + 4
-    seen = np.unique((a[over] * 8 + cell[over, 0]) * 8 + cell[over, 1]) // 64
-    out["roof"] = np.bincount(seen, minlength=k) / 52
-    beside = in_run & (across > radius[a] + 0.03)
-    out["beside"] = filled(held(beside), low, high)
-    crowd = (across < 0.7) & (level * BIN_M < 5)
-    out["crowd"] = np.log1p(np.bincount(a[crowd], minlength=k))
-    out["off_line_m"] = _off_line(a[beside], off[beside], k)
-    centre, r, rough = _circles(a[own], off[own], k)
-    out["radius_m"], out["rough"] = r, rough / (r + 0.02)
-    out["arc"] = _arcs(a[own], off[own] - centre[a[own]], k)
-    out["slender"] = np.minimum(out["run_m"] / (2 * r + 0.02), 100)
-    from_centre = np.hypot(*(off[own] - centre[a[own]]).T)
-    out["head"] = _head(a[own], from_centre, height[own], k)
-    out["top_m"] = np.zeros(k)
-    np.maximum.at(out["top_m"], a, BIN_M * level)
-    a, b = pairs(axes[:, :2], thin.coarse, WIDE_M)
-    off = thin.coarse[b, :2] - axes[a, :2]
-    away, z = np.hypot(*off.T) > 1.0, thin.coarse[b, 2]
+    above = _filled(np.array(shells)[chosen, rows], high, np.minimum(high + 8, BINS))
+    found = {"run_m": BIN_M * clean[chosen, rows], "clean_150_m": BIN_M * clean[1]}
+    found |= {"clean_400_m": BIN_M * clean[3], "core_m": RADII_M[chosen], "low_m": BIN_M * low}
+    found |= {"column_m": BIN_M * (last - first), "above_shell": above}
+    return found, BIN_M * low, BIN_M * high
+
+
+def _beside(near, beside, low, high):
+    """Measures of what is around the run: within 1 m, and among it ``beside`` the core."""
+    over = near.some((near.height >= high[near.axis]) & (near.height < high[near.axis] + 3 * BIN_M))
+    cell = np.floor(over.off / 0.25).astype(np.int64) + 4
+    seen = np.unique((over.axis * 8 + cell[:, 0]) * 8 + cell[:, 1]) // 64
+    crowd = (near.across < 0.7) & (near.height < 5)
+    ends = ((end / BIN_M).astype(np.int64) for end in (low, high))
+    return {
+        "roof": np.bincount(seen, minlength=near.k) / 52,
+        "beside": _filled(beside.held(...), *ends),
+        "crowd": np.log1p(np.bincount(near.axis[crowd], minlength=near.k)),
+        "off_line_m": _off_line(beside.axis, beside.off, near.k),
+    }
+
+
+def _shape(own, run, rise):
+    """Measures of the shaft's own points, and the circle's centre (k, 2), metres."""
+    n = np.bincount(own.axis, minlength=own.k)
+    centre, r, rough = _circles(own.axis, own.off, own.k)
+    spoke = own.off - centre[own.axis]
+    found = {"points": np.log1p(n / np.maximum(rise, BIN_M)), "radius_m": r}
+    found |= {"rough": rough / (r + 0.02), "arc": _arcs(own.axis, spoke, own.k)}
+    found |= {"slender": np.minimum(run / (2 * r + 0.02), 100)}
+    found |= {"wide_m": np.sqrt(12) * _scatter(own.axis, own.off, own.k)[2]}
+    found["head"] = _head(own.axis, np.hypot(*spoke.T), own.height, own.k)
+    return found, centre
+
+
+def _wide(coarse, axes):
+    """Measures of what stands 1 to 4 m away: shares of directions in four bands of height."""
+    a, b = pairs(axes[:, :2], coarse, WIDE_M)
+    off, z = coarse[b, :2] - axes[a, :2], coarse[b, 2]
     bands = {"low": (0, 1), "mid": (1, 2.5), "high": (2.5, 5), "top": (5, 99)}
+    found = {}
     for name, (lowest, highest) in bands.items():
-        which = away & (z >= lowest) & (z < highest)
-        out[f"around_{name}"] = _arcs(a[which], off[which], k)
-    shaft = {"low": BIN_M * low, "high": BIN_M * high, "centre": centre}
-    return pd.DataFrame(out)[list(MEASURES)].round(4), shaft
+        which = (np.hypot(*off.T) > 1.0) & (z >= lowest) & (z < highest)
+        found[f"around_{name}"] = _arcs(a[which], off[which], len(axes))
+    return found
 
 
 def _head(a, across, height, k):
@@ -301,14 +362,20 @@ def _arcs(a, off, k):
     return np.bincount(np.unique(a * ARCS + arc) // ARCS, minlength=k) / ARCS
 
 
-def _off_line(a, off, k):
-    """Distance of the axis from the line in plan through the points of each candidate."""
+def _scatter(a, off, k):
+    """Mean (k, 2), direction and size of the largest scatter in plan of each candidate's points."""
     n = np.maximum(np.bincount(a, minlength=k), 1)
     u, v = (np.bincount(a, c, k) / n for c in off.T)
     x, y = off[:, 0] - u[a], off[:, 1] - v[a]
     xx, xy, yy = (np.bincount(a, c, k) / n for c in (x * x, x * y, y * y))
-    turn = np.arctan2(2 * xy, xx - yy) / 2
-    away = np.abs(u * np.sin(turn) - v * np.cos(turn))
+    largest = (xx + yy) / 2 + np.hypot((xx - yy) / 2, xy)
+    return np.column_stack([u, v]), np.arctan2(2 * xy, xx - yy) / 2, np.sqrt(largest)
+
+
+def _off_line(a, off, k):
+    """Distance of the axis from the line in plan through the points of each candidate."""
+    mean, turn, _ = _scatter(a, off, k)
+    away = np.abs(mean[:, 0] * np.sin(turn) - mean[:, 1] * np.cos(turn))
     return np.where(np.bincount(a, minlength=k) < 5, REACH_M, away)
 
 
@@ -431,12 +498,17 @@ def grow(measures, label, weight=None, *, start=None, rounds=150, leaves=16, rat
 
 
 class Described(NamedTuple):
-    """Candidates of a cloud: ``axes`` (k, 5), ``measures``, ``shaft``, ``ground`` (a function)."""
+    """Candidates of a cloud: ``axes`` (k, 5), ``measures``, ``shaft``, ``ground`` (a function).
+
+    ``above`` has the points up to 16 m above the ground, ``coarse`` the centres of their cells.
+    """
 
     axes: np.ndarray
     measures: pd.DataFrame
     shaft: dict
     ground: Callable
+    above: np.ndarray
+    coarse: np.ndarray
 
     @property
     def middle(self):
@@ -454,9 +526,11 @@ class Described(NamedTuple):
 def describe(points):
     """Return the ``Described`` candidates of points (n, 3), metres from an origin nearby."""
     height_of = ground(points)
-    thin = thinned(points, height_of)
-    axes = fit_axes(thin, *candidates(thin)) if len(thin.points) else np.empty((0, 5))
-    return Described(axes, *measure(thin, axes), height_of)
+    height = points[:, 2] - height_of(points)
+    above = points[(height > LOW_M) & (height < BINS * BIN_M)]
+    thin = thinned(above, height_of)
+    axes = fit_axes(thin, *candidates(thin)) if len(above) else np.empty((0, 5))
+    return Described(axes, *measure(thin, axes), height_of, above, thin.coarse)
 
 
 def detect(points, *, threshold=THRESHOLD, trees=None, explain=False):
@@ -477,56 +551,66 @@ def detect(points, *, threshold=THRESHOLD, trees=None, explain=False):
     Returns
     -------
     DataFrame
-        The columns of :func:`mmqa_lab.poles.common.table` and the interval of the diameter, in the
-        origin of ``points``.
+        The columns of :func:`mmqa_lab.poles.common.table`, the interval of the diameter, and
+        ``section_m``, in the origin of ``points``.
     """
     trees = shipped() if trees is None else trees
     points = points if len(points) else np.zeros((1, 3))  # ground without poles
     found = describe(points)
     axes, height_of = found.axes, found.ground
     score = trees.score(found.measures)
-    open_ = score > DOUBT
+    doubtful = score > DOUBT
+    near = around(found.above, axes[doubtful])
     for place in PLACES[1:]:
-        again = measure(thinned(points, height_of, place), axes[open_])[0]
-        score[open_] += trees.score(again)
-    score[open_] /= len(PLACES)
+        again = measure(thinned(near, height_of, place), axes[doubtful], found.coarse)[0]
+        score[doubtful] += trees.score(again)
+    score[doubtful] /= len(PLACES)
     low, high = found.shaft["low"], found.shaft["high"]
     short = found.measures["column_m"].to_numpy() < LENGTH_M
     reason = first_reason(score=score < threshold, length=short)
     xy = found.middle
     drop_duplicates(xy, score, reason, APART_M)
-    kept, (diameter, half) = reason == "", np.full((2, len(score)), np.nan)
-    diameter[kept], half[kept] = diameters(points, found, kept)
+    kept = reason == ""
+    sizes = pd.DataFrame(sections(found, kept), index=np.flatnonzero(kept))
     rows = {"x_m": xy[:, 0], "y_m": xy[:, 1], "z_base_m": height_of(axes) + low}
-    rows |= {"height_m": high - low, "diameter_m": diameter, "diameter_low_m": diameter - half}
-    rows |= {"diameter_high_m": diameter + half, "lean_x": axes[:, 2], "lean_y": axes[:, 3]}
-    rows |= {"score": score, "rejected_by": reason}
+    rows |= {"height_m": high - low} | dict(sizes.reindex(range(len(axes))))
+    rows |= {"lean_x": axes[:, 2], "lean_y": axes[:, 3], "score": score, "rejected_by": reason}
     if explain:
         parts = pd.DataFrame(trees.parts(found.measures)[0], columns=[*MEASURES])
         rows |= dict(found.measures) | dict(parts.add_prefix("adds_"))
     return table(rows, "learned", explain=explain)
 
 
-GROUPS, FEWEST, ROUGH_M, CORNERS = 8, 15, 0.03, 4.0
+SLENDER = 6.0
+"""A pole is at least this many times as high as wide, what it carries counted as height."""
+
+GROUPS, FEWEST, ROUGH_M, CORNERS, COVERED = 8, 15, 0.03, 3.0, 1.5
 """Height groups that are left out in turn; fewest points and largest misfit of a usable circle;
-largest wave of its residuals, four to a turn as those of a square, in standard errors."""
+largest wave of its residuals, four to a turn as those of a square, in standard errors; least width
+of what is seen, in radii: a flat face is narrower than its circle."""
 
 SHARE, FLOOR_M = 0.02, 0.002
 """Error of a circle beyond its scatter (taper, bark, split beams): share of the diameter, m."""
 
 
-def diameters(points, found, kept):
-    """Return the diameters of kept candidates halfway up their run, and half of a 95 % interval.
+def sections(found, kept):
+    """Return the size of kept candidates halfway up their run, metres.
 
-    Both are in metres. A circle is fitted to the points around each axis. The interval comes from a
-    jackknife that leaves out each of eight height groups in turn. NaN where no circle fits, and
-    for square shafts.
+    A circle is fitted to the points around each axis. Its interval comes from a jackknife that
+    leaves out each of eight height groups in turn.
+
+    Returns
+    -------
+    dict of array
+        ``diameter_m``, ``diameter_low_m``, ``diameter_high_m``, NaN where no circle fits, and for
+        square shafts; ``section_m``, the diameter, or the width of what is seen.
     """
     axes, low, high = found.axes[kept], found.shaft["low"][kept], found.shaft["high"][kept]
     core, k = found.measures["core_m"].to_numpy()[kept], kept.sum()
-    a, b = pairs(axes[:, :2], points, REACH_M)
-    height = points[b, 2] - found.ground(points[b])
-    off = points[b, :2] - axes[a, :2] - axes[a, 2:4] * (height - axes[a, 4])[:, None]
+    near = around(found.above, axes)
+    a, b = pairs(axes[:, :2], near, REACH_M)
+    height = near[b, 2] - found.ground(near[b])
+    off = near[b, :2] - axes[a, :2] - axes[a, 2:4] * (height - axes[a, 4])[:, None]
     own = (np.hypot(*off.T) <= core[a]) & (height >= low[a]) & (height < high[a])
     a, off, height = a[own], off[own], height[own]
     part = ((height - low[a]) / (high - low)[a] * GROUPS).astype(np.int64)
@@ -538,10 +622,27 @@ def diameters(points, found, kept):
         _circles(a[part != g], off[part != g], k, steps=30, hold=1e-3)[1] for g in range(GROUPS)
     ]
     std = np.sqrt((GROUPS - 1) * np.var(others, axis=0)) * 2
-    told = (count >= FEWEST) & (rough < ROUGH_M) & (2 * wave < CORNERS * rough * np.sqrt(2 / count))
+    width = _width(a, off, k)
+    told = (count >= FEWEST) & (rough < ROUGH_M) & (width > COVERED * radius)
+    told &= 2 * wave < CORNERS * rough * np.sqrt(2 / count)
     half = np.hypot(3 * std, FLOOR_M + SHARE * 2 * radius)
     told &= half < radius
-    return np.where(told, 2 * radius, np.nan), np.where(told, half, np.nan)
+    diameter = np.where(told, 2 * radius, np.nan)
+    found = {"diameter_m": diameter, "diameter_low_m": diameter - half}
+    found |= {"diameter_high_m": diameter + half}
+    return found | {"section_m": np.where(told, diameter, width)}
+
+
+def _width(a, off, k):
+    """Widest extent in plan of the inner 95 % of each candidate's points, of 12 directions."""
+    widest, ends = np.zeros(k), np.searchsorted(np.sort(a), np.arange(k + 1))
+    count = np.diff(ends)
+    for turn in np.arange(12) * np.pi / 12:
+        along = off @ [np.cos(turn), np.sin(turn)]
+        along = np.append(along[np.lexsort([along, a])], 0.0)
+        low, high = (along[ends[:-1] + (share * count).astype(int)] for share in (0.025, 0.975))
+        widest = np.maximum(widest, np.where(count > 0, high - low, 0))
+    return widest
 
 
 def lessons(points, targets, *, weight=1.0):
@@ -581,7 +682,7 @@ def lessons(points, targets, *, weight=1.0):
 FILE = resources.files("mmqa_lab.poles").joinpath("trees.csv")
 
 
-def write(trees, path):
+def write(path, trees):
     """Write ``Trees`` to a text file, one node per row."""
     frame = pd.DataFrame(trees._asdict()).round({"value": 6})
     frame.to_csv(path, index=False, float_format="%.10g", lineterminator="\n")

@@ -20,6 +20,8 @@ from mmqa_lab._results import Shown
 from mmqa_lab.cloud import path_distance
 from mmqa_lab.stats import Rate, wilson
 
+__all__ = ["GATE_M", "Score", "match", "score"]
+
 GATE_M = 0.5
 
 
@@ -165,7 +167,7 @@ def score(
         As :func:`mmqa_lab.poles.detect` returns it.
     references : DataFrame
         ``x_m``, ``y_m``. Optional columns: ``height_m`` (less than 1 m: no target), ``visible``
-        (False: no target), ``lean_x``, ``lean_y``, diameters.
+        (true or false, or 1 or 0; false: no target), ``lean_x``, ``lean_y``, diameters.
     gate : float
         Largest distance of a match, metres.
     corridor : float, optional
@@ -180,8 +182,8 @@ def score(
     Raises
     ------
     ValueError
-        If a table has no ``x_m`` and ``y_m``, the gate or the corridor is not above zero, or a
-        corridor comes without a trajectory.
+        If a table has no ``x_m`` and ``y_m``, ``visible`` is neither true nor false, the gate or
+        the corridor is not above zero, or a corridor comes without a trajectory.
 
     Examples
     --------
@@ -194,6 +196,13 @@ def score(
     references, found = (part.reset_index(drop=True) for part in (references, detections))
     target = ~(references.get("height_m", pd.Series(9.0, references.index)) < 1.0).to_numpy()
     if "visible" in references:
+        unclear = ~references["visible"].isin([True, False]).to_numpy()
+        if unclear.any():
+            row = unclear.argmax()
+            raise ValueError(
+                f"Invalid references: visible is {references['visible'][row]!r} in row {row}. "
+                "Must be true or false."
+            )
         target &= references["visible"].to_numpy(bool)
     inside = np.ones(len(found), dtype=bool)
     if corridor is not None:

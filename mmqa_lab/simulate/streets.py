@@ -276,7 +276,7 @@ def _inside(at, block):
     return side * at[0] > setback - 0.8 and start - 0.8 < at[1] < start + size + 0.8
 
 
-def _shaft(rng, at, kind, radius, top_radius, height, lean_deg=1.0):
+def shaft(rng, at, kind, radius, top_radius, height, lean_deg=1.0):
     """Surface of a tapered shaft that leans at random, and its truth; sizes in metres."""
     lean = np.tan(np.radians(rng.normal(0, lean_deg, 2)))
     way = height * np.array([*lean, 1.0])
@@ -300,7 +300,7 @@ def _lamp(rng, at, side, plan):
     """A lamp post with an arm and a head over the road; ``side`` is +1 right of it, -1 left."""
     radius, end = rng.uniform(0.055, 0.1), rng.uniform(0.03, 0.045)
     height, arm = rng.uniform(4.5, 9.0), rng.uniform(0.3, 2.0)
-    post, truth = _shaft(rng, at, "lamp", radius, end, height)
+    post, truth = shaft(rng, at, "lamp", radius, end, height)
     middle = np.array([truth["x_m"], truth["y_m"], at[2] + height / 2])
     top = at + 2 * (middle - at)
     tip = top - np.array([side * arm, 0, -0.2])
@@ -311,7 +311,7 @@ def _lamp(rng, at, side, plan):
 def _sign(rng, at, side, plan):
     """A sign: a thin post with one or two boards that face along the road."""
     radius, height = rng.choice([0.03, 0.038, 0.045]), rng.uniform(2.2, 3.4)
-    post, truth = _shaft(rng, at, "sign", radius, radius, height)
+    post, truth = shaft(rng, at, "sign", radius, radius, height)
     heading = rng.choice([0.0, 180.0]) + rng.normal(0, 8)
     size, round_, second = rng.uniform(0.45, 0.8), rng.random() < 0.5, rng.random() < 0.35
     h = np.radians(heading)
@@ -334,10 +334,10 @@ def _tree(rng, at, side, plan):
     crown_radius, crown_height = rng.uniform(1.0, 2.4), rng.uniform(2.5, 5.0)
     base = rng.uniform(0.7, 1.5) if rng.random() < plan.low_crown_share else rng.uniform(2.0, 3.5)
     height = base + 0.5 * crown_height
-    trunk, truth = _shaft(rng, at, "tree", radius, radius * taper, height, lean_deg=2.5)
+    trunk, truth = shaft(rng, at, "tree", radius, radius * taper, height, lean_deg=2.5)
     radii = (crown_radius, crown_radius, crown_height / 2)
-    crown = _crown(at + [0, 0, base + crown_height / 2], radii, 1.0, rng.integers(2**31))
-    return [trunk, crown], truth | {"clear_height_m": base}
+    leaves = crown(at + [0, 0, base + crown_height / 2], radii, 1.0, rng.integers(2**31))
+    return [trunk, leaves], truth | {"clear_height_m": base}
 
 
 def _other(rng, at, side, plan):
@@ -346,11 +346,11 @@ def _other(rng, at, side, plan):
         radius, height, taper = rng.uniform([0.05, 3.0, 0.6], [0.15, 9.0, 1.0])
     else:
         radius, height, taper = *rng.uniform([0.025, 1.1], [0.09, 1.5]), 1.0
-    post, truth = _shaft(rng, at, "other", radius, radius * taper, height)
+    post, truth = shaft(rng, at, "other", radius, radius * taper, height)
     return [post], truth
 
 
-def _crown(centre, radii, density, seed, label="crown"):
+def crown(centre, radii, density, seed, label="crown"):
     """Foliage in which a ray meets 0.8 leaves on a metre of its way, times the density."""
     volume = 4 / 3 * np.pi * np.prod(radii)
     n = max(int(volume * density * 0.8 * 2 / (np.pi * LEAF_RADIUS_M**2)), 1)
@@ -361,12 +361,12 @@ def _bush(rng, at, kind):
     """A shrub or undergrowth around a foot."""
     radius, height, density = rng.uniform(*BUSHES[kind])
     middle = at + [*rng.normal(0, 0.2, 2), height / 2]
-    return _crown(middle, (radius, radius, height / 2), density, rng.integers(2**31), kind)
+    return crown(middle, (radius, radius, height / 2), density, rng.integers(2**31), kind)
 
 
 def _clutter(plan, length, seed):
     """Cars, people and hedges, at distances from the path in metres."""
-    kinds = {"car": (_car, 2.6, 3.2), "pedestrian": (_pedestrian, 4, 9), "hedge": (_hedge, 7.5, 13)}
+    kinds = {"car": (_car, 2.6, 3.2), "pedestrian": (pedestrian, 4, 9), "hedge": (_hedge, 7.5, 13)}
     for kind, (make, low, high) in kinds.items():
         rng = _stream(seed, kind)
         for _ in range(rng.poisson(getattr(plan, f"{kind}s_per_100m") * length / 100)):
@@ -380,7 +380,7 @@ def _hedge(rng, at):
     length, height, depth = rng.uniform([6, 1.2, 0.5], [18, 2.4, 0.9])
     middles = at + [[0, y, height / 2] for y in np.arange(0.75, length - 0.75, 1.5)]
     radii = (depth / 2, 1.1, height / 2)
-    parts = [_crown(middle, radii, 5.0, rng.integers(2**31)) for middle in middles]
+    parts = [crown(middle, radii, 5.0, rng.integers(2**31)) for middle in middles]
     return group(parts, label="hedge")
 
 
@@ -394,7 +394,7 @@ def _car(rng, at):
     return group([body, cabin], label="car")
 
 
-def _pedestrian(rng, at):
+def pedestrian(rng, at):
     """A person: a body that widens upwards, and a head."""
     height, width = rng.uniform([1.55, 0.18], [1.9, 0.25])
     neck, top = at + [0, 0, height - 0.28], at + [0, 0, height]

@@ -80,7 +80,7 @@ def posts(kind, scanner, seed, n=30):
             things.append(surfaces.board(middle, size, size, heading=0.0))
         if kind == "in a hedge":
             leaves, middle = int(rng.integers(2**31)), foot + [0, 0, 0.5]
-            things.append(streets._crown(middle, (0.4, 1.2, 0.6), 4.0, leaves))
+            things.append(streets.crown(middle, (0.4, 1.2, 0.6), 4.0, leaves))
         if kind in WALLS:
             rise = height + draw(0.5, 2.0) if kind == WALLS[0] else 3.0
             corner = foot + [side * (0.5 + wide / 2), -1.4, 0]
