@@ -425,6 +425,7 @@ def accuracy(
         Write every difference into this CSV file.
     """
     from mmqa_lab import io, test_field
+    from mmqa_lab._checks import check_upright
 
     check_ending(out, "file", (".csv",))
     points = io.read_cloud(cloud, columns=())
@@ -438,6 +439,7 @@ def accuracy(
             f"{reason.capitalize()}: {n}." for reason, n in missing.items()
         )
     else:
+        check_upright(f"cloud {cloud}", points.crs)
         heights = io.read_heights(reference, crs=points.crs)
         summary, differences = test_field.compare_heights(points, heights, radius=radius)
     if out is not None:

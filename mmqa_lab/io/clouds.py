@@ -285,11 +285,12 @@ def _check_header(path, header):
         raise ValueError(f"Invalid cloud {path}: {found}. Must be above 0.")
     with open(path, "rb") as file:
         (legacy,) = struct.unpack("<107xI", file.read(111))
-    size, end = Path(path).stat().st_size, getattr(header, "start_of_first_evlr", 0) or np.inf
-    held = (min(size, end) - header.offset_to_point_data) // header.point_format.size
+    behind = (header.start_of_first_evlr, header.start_of_waveform_data_packet_record)
+    end = min([Path(path).stat().st_size, *filter(None, behind)])  # 0 where there is none
+    held = (end - header.offset_to_point_data) // header.point_format.size
     more = not header.are_points_compressed and held > header.point_count
     if more or (header.point_count == 0 and legacy > 0):
-        found = f"{int(held) if more else legacy} points where the header says {header.point_count}"
+        found = f"{held if more else legacy} points where the header says {header.point_count}"
         raise ValueError(f"Invalid cloud {path}: {found}. Must agree.")
 
 

@@ -28,6 +28,9 @@ RASTERS = "a GeoTIFF of one band with north upwards and an EPSG number"
 MASK, WHITE_IS_ZERO, PALETTE, ORIENTATION = 4, 0, 3, 274
 UPRIGHT = {2: (0, 1), 3: (2, 0), 4: (2, 1), 5: (3, 1), 6: (3, 0), 7: (1, 1), 8: (1, 0)}
 
+# Markers of JPEG without a length (ISO 10918-1, B.1.1.3).
+BARE_MARKERS = (0x01, *range(0xD0, 0xD9), 0xFF)
+
 # Cells narrower than this are in degrees.
 NARROWEST_CELL_M = 0.001
 
@@ -89,16 +92,17 @@ def read_bands(path: str | os.PathLike) -> np.ndarray:
     with _tiff(path, "image", IMAGES) as file:
         page = file.pages[0]
         same = sum(one.shape == page.shape and not one.subfiletype for one in file.pages)
-        pixels, upright = _page(path, page, IMAGES)
+        pixels, decoded = _page(path, page, IMAGES)
         kind, turn = page.photometric, page.tags.valueof(ORIENTATION, default=1)
         colours = page.colormap if kind == PALETTE else None
     if same > 1:
         warnings.warn(f"Read the first of {same} pages of {path}.", stacklevel=2)
-    if pixels.dtype.kind == "u" and kind == WHITE_IS_ZERO and not upright:
+    inverted = kind == WHITE_IS_ZERO and not (decoded and pixels.dtype == np.uint8)
+    if inverted and pixels.dtype.kind == "u":
         pixels = (2**page.bitspersample - 1 - pixels).astype(pixels.dtype)
-    if colours is not None and not upright:
+    if colours is not None and not decoded:
         pixels = np.moveaxis(colours[:, pixels[..., 0]] >> 8, 0, 2).astype(np.uint8)
-    quarters, mirrored = UPRIGHT.get(turn, (0, 0))
+    quarters, mirrored = UPRIGHT.get(1 if decoded else turn, (0, 0))
     pixels = np.rot90(pixels, quarters)
     return np.moveaxis(pixels[:, ::-1] if mirrored else pixels, 2, 0)
 
@@ -113,19 +117,19 @@ def _tiff(path, name, wanted):
 
 
 def _page(path, page, wanted):
-    """The pixels of a TIFF page, bands last, and whether OpenCV made its grey values upright."""
+    """The pixels of a TIFF page, bands last, and whether OpenCV decoded and turned them."""
     import cv2
 
     try:
         pixels = np.atleast_3d(page.asarray())
         return (np.moveaxis(pixels, 0, 2) if page.axes[0] == "S" else pixels), False
-    except ValueError as error:  # LZW and JPEG need another library; OpenCV has them for 4 bands
+    except Exception as error:  # LZW and JPEG need another library; OpenCV has them for 4 bands
         if "imagecodecs" not in str(error):
             found = "damaged or cut short"
             raise ValueError(f"Invalid image {path}: {found}. Must be {wanted}.") from error
     pixels = np.atleast_3d(_decoded(path, cv2.IMREAD_UNCHANGED))
     order = [2, 1, 0, 3][: pixels.shape[2]] if pixels.shape[2] > 2 else [0]
-    return pixels[..., order], pixels.dtype == np.uint8
+    return pixels[..., order], True
 
 
 def _decoded(path, flags):
@@ -136,9 +140,7 @@ def _decoded(path, flags):
     gamma = re.search(rb"gAMA(.{4})", data[:HEAD], re.DOTALL) if data[:2] == b"\x89P" else None
     value = int.from_bytes(gamma[1], "big") / 1e5 if gamma else 0.45
     if not 0.4 < value < 0.5:
-        told = (
-            "linear in light" if abs(value - 1) < 0.01 else f"of gamma {1 / max(value, 1e-5):.2g}"
-        )
+        told = "linear in light" if abs(value - 1) < 0.01 else f"of gamma {value:.2g}"
         warnings.warn(f"{path} states that its values are {told}, not sRGB.", stacklevel=3)
     if not _is_complete(data):
         raise ValueError(f"Invalid image {path}: cut short. Must be {IMAGES}.")
@@ -155,15 +157,13 @@ def _is_complete(data):
     """Whether a JPEG or PNG file has its end, whatever stands behind it, as the film of a phone."""
     if data[:2] == b"\x89P":
         return b"IEND" in data
+    if data[:2] != b"\xff\xd8":
+        return True
     at = 2
-    while data[:2] == b"\xff\xd8" and data[at : at + 1] == b"\xff" and data[at + 1] != 0xDA:
-        bare = data[at + 1] in (0x01, 0xFF, *range(0xD0, 0xD8))
-        at += (
-            1
-            + (data[at + 1] != 0xFF)
-            + (0 if bare else int.from_bytes(data[at + 2 : at + 4], "big"))
-        )
-    return data[:2] != b"\xff\xd8" or data.find(b"\xff\xd9", at) >= 0
+    while data[at : at + 1] == b"\xff" and data[at + 1 : at + 2] not in (b"\xda", b""):
+        bare = data[at + 1] in BARE_MARKERS
+        at += 2 + (0 if bare else int.from_bytes(data[at + 2 : at + 4], "big"))
+    return data.find(b"\xff\xd9", at) >= 0
 
 
 def read_heights(path: str | os.PathLike, *, crs: object = None) -> np.ndarray:
