@@ -13,7 +13,7 @@ import pandas as pd
 from scipy import stats
 
 from mmqa_lab import mtf, radiometry
-from mmqa_lab._checks import check_choice, check_columns
+from mmqa_lab._checks import check_choice, check_columns, check_known, check_number
 from mmqa_lab.charts import decode
 
 if TYPE_CHECKING:
@@ -23,6 +23,13 @@ __all__ = ["measure"]
 __dir__ = __all__.copy
 
 REGION = ("x_px", "y_px", "width_px", "height_px")
+
+SETTINGS = {"exposure": 1.0, "time_s": 0.01, "f_number": 4.0}
+"""Exposure of a calibrated image, relative or by time and f-number, and the usual values."""
+
+UNEVEN = 0.05, 6.0
+"""Share of their mean, and standard errors, by which halves of a region differ that lies across a
+border."""
 
 
 def measure(
@@ -45,8 +52,11 @@ def measure(
     targets : DataFrame
         A row for each target with the columns of ``MEASURES``, px, ``name`` and, of the last two
         measures, ``radiance`` or ``reflectance`` (or radiance_1, radiance_2, ... by band).
+        Optionally to calibrate ``exposure``, or ``time_s`` and ``f_number`` (relative to 1/100 s at
+        4); to reflect ``reflectance_std`` and ``anisotropy``. No other columns but ``image``.
     linear : bool
-        8-bit values are linear in light.
+        Grey values are linear in light; else resolution is measured on values decoded from sRGB, of
+        8 and 16 bits alike.
 
     Returns
     -------
@@ -57,25 +67,42 @@ def measure(
     Raises
     ------
     ValueError
-        If a column is missing, a region leaves the image, or 8-bit values that are not linear are
-        to give radiances or reflectances.
+        If a column is missing or not known, a region leaves the image or is no number, or 8-bit
+        values that are not linear are to give radiances or reflectances.
     """
     values = np.asarray(values)
     needed, read = MEASURES[check_choice(what, "measure", MEASURES)]
     check_columns({} if targets is None else targets, needed, "targets")
-    if targets is not None and not len(targets):
-        raise ValueError("Invalid targets: none of this image. Must have some.")
-    if targets is not None and "name" not in targets:
-        targets = targets.assign(name=range(1, len(targets) + 1))
-    codes, physical = values.dtype.itemsize == 1, what in ("calibrate", "reflect")
-    if codes and physical and not linear:
+    if targets is not None:
+        targets = _known_targets(targets, needed, len(values))
+    physical = what in ("calibrate", "reflect")
+    if values.dtype.itemsize == 1 and physical and not linear:
         raise ValueError("Invalid image of 8 bits, usually not linear. Must have 16, or be linear.")
     rows = []
     for number, band in enumerate(values, start=1):
-        if codes and not physical:
-            band = decode(band / np.float32(255), "linear" if linear else "srgb")
+        if values.dtype.kind == "u" and not physical:
+            full = np.float32(np.iinfo(values.dtype).max)
+            band = decode(band / full, "linear" if linear else "srgb")
         rows += [{"band": str(number)} | row for row in read(band, targets, number)]
     return pd.DataFrame(rows)
+
+
+def _known_targets(targets, needed, bands):
+    """Targets with names, no column or row that is not understood, empty rows left out."""
+    physical = ("radiance", "reflectance")
+    known = {"image", "name", *REGION, "radius_px", "cycles", *physical, *SETTINGS}
+    known |= {"reflectance_std", "anisotropy"}
+    known |= {f"{name}_{k}" for name in physical for k in range(1, bands + 1)}
+    for name in targets.columns:
+        check_known(name, "column of targets", sorted(known))
+    targets = targets.dropna(how="all").reset_index(drop=True)
+    if not len(targets):
+        raise ValueError("Invalid targets: none of this image. Must have some.")
+    for row, target in enumerate(targets[list(needed)].to_dict("records"), start=1):
+        for name, value in target.items():
+            check_number(value, f"{name} of target {row}", unit="px")
+    names = targets["name"] if "name" in targets else range(1, len(targets) + 1)
+    return targets.assign(name=names)
 
 
 def _region(band, target):
@@ -90,7 +117,12 @@ def _region(band, target):
 def _edges(band, targets, _):
     """MTF50 and full width at half maximum of each edge."""
     for target in targets.to_dict("records"):
-        edge = mtf.fit_edge(_region(band, target))
+        region = _region(band, target)
+        try:
+            edge = mtf.fit_edge(region)
+        except ValueError as error:  # a target that fails does not cost the others their rows
+            yield {"target": target["name"], "remark": str(error)}
+            continue
         share = 1.96 * edge.mtf50_sigma / edge.mtf50
         figures = _interval("mtf50", "_per_px", edge.mtf50, share * edge.mtf50)
         figures |= _interval("fwhm", "_px", edge.fwhm_px, share * edge.fwhm_px)
@@ -102,11 +134,16 @@ def _stars(band, targets, _):
     """MTF50 and MTF10 of each star."""
     for target in targets.to_dict("records"):
         known = {"cycles": int(target["cycles"]), "radius_px": target["radius_px"]}
-        star = mtf.measure_star(band, (target["x_px"], target["y_px"]), **known)
+        try:
+            star = mtf.measure_star(band, (target["x_px"], target["y_px"]), **known)
+        except ValueError as error:
+            yield {"target": target["name"], "remark": str(error)}
+            continue
         figures = _interval("mtf50", "_per_px", star.mtf50, 1.96 * star.mtf50_sigma)
         figures["mtf10_per_px"] = star.at(0.1)
-        missing = "the star does not show the frequency of MTF50" * bool(np.isnan(star.mtf50))
-        yield {"target": target["name"]} | figures | {"remark": missing}
+        remarks = [star.remark] * bool(star.remark)
+        remarks += ["the star does not show the frequency of MTF50"] * bool(np.isnan(star.mtf50))
+        yield {"target": target["name"]} | figures | {"remark": "; ".join(remarks)}
 
 
 def _sharpness(band, *_):
@@ -130,23 +167,57 @@ def _patches(band, targets, name, number):
     found = radiometry.patch_statistics(band, places)
     found["std_dn"] = np.hypot(found["std_dn"], 12**-0.5)  # rounding alone gives a pixel that much
     found["std_error_dn"] = found["std_dn"] / np.sqrt(found["n"])
-    return found.assign(known=targets[column].to_numpy(), name=targets["name"].to_numpy())
+    uneven = [_uneven(_region(band, target)) for target in targets.to_dict("records")]
+    return found.assign(known=targets[column].to_numpy(), name=targets["name"], uneven=uneven)
+
+
+def _uneven(region):
+    """Whether halves of a region differ, as where it lies half beside its target."""
+    noise = np.median(np.abs(np.diff(region.astype(float)))) / 0.954  # of two pixels, normal
+    for part in (region, region.T):
+        cuts = np.linspace(0, len(part), 5).round().astype(int)
+        ends = [
+            part[cuts[k] : cuts[k + 1]].astype(float) for k in range(4) if cuts[k] < cuts[k + 1]
+        ]
+        means = [end.mean() for end in ends]
+        share, errors = UNEVEN
+        error = max(noise, 0.3) / np.sqrt(ends[0].size)
+        if np.ptp(means) > max(share * abs(np.mean(means)), errors * error):
+            return True
+    return False
+
+
+def _said(name, uneven):
+    """The remark on targets across a border; empty if there are none."""
+    return [f"{', '.join(map(str, name[uneven]))} not even: half beside its target?"] * any(uneven)
 
 
 def _calibrated(band, targets, number):
     """Gain and offset of a band from its unsaturated targets of known radiance."""
     patches = _patches(band, targets, "radiance", number)
     used = patches[(patches["saturated_share"] == 0) & patches["known"].notna()]
-    fit = radiometry.fit_sensor(used["known"], used["mean_dn"], std_dn=used["std_dn"])
+    setting = {
+        k: targets.get(k, pd.Series(v, targets.index))[used.index] for k, v in SETTINGS.items()
+    }
+    exposure = setting["exposure"] * [
+        radiometry.relative_exposure(*pair)
+        for pair in zip(setting["time_s"], setting["f_number"], strict=True)
+    ]
+    fit = radiometry.fit_sensor(
+        used["known"], used["mean_dn"], std_dn=used["std_dn"], exposure=exposure
+    )
     reach = stats.t.ppf(0.975, fit.freedom) * fit.std
     figures = _interval("gain", "", fit.gain, reach[0])
     figures |= _interval("offset", "_dn", fit.offset, reach[1])
-    return [figures | {"r_squared": fit.r_squared, "n": fit.n}]
+    remark = "; ".join(_said(used["name"], used["uneven"]))
+    return [figures | {"r_squared": fit.r_squared, "n": fit.n, "remark": remark}]
 
 
 def _reflectances(band, targets, number):
     """A row for each target without a known reflectance, by the empirical line of the others."""
     patches = _patches(band, targets, "reflectance", number)
+    for name, usual in (("anisotropy", 1.0), ("reflectance_std", 0.0)):
+        patches[name] = targets[name].fillna(usual) if name in targets else usual
     known = patches[patches["known"].notna() & (patches["saturated_share"] == 0)]
     if len(known) < 2:
         raise ValueError(
@@ -154,15 +225,22 @@ def _reflectances(band, targets, number):
             "more."
         )
     dn = known["mean_dn"]
-    stated = {} if len(known) > 2 else {"std_dn": known["std_error_dn"]}
-    line = radiometry.empirical_line(dn, known["known"], **stated)
+    given = (known["reflectance_std"] > 0).all()
+    slope = np.polyfit(dn, known["known"], 1)[0]
+    errors = np.hypot(known["std_error_dn"], known["reflectance_std"] / max(slope, 1e-12))
+    stated = {"std_dn": errors} if given or len(known) == 2 else {}
+    seen_as = known["anisotropy"]
+    line = radiometry.empirical_line(dn, known["known"], anisotropy=seen_as, **stated)
     factor = 1.96 if stated else stats.t.ppf(0.975, line.n - 2)
     for row in patches[patches["known"].isna()].itertuples():
         saturated, inside = row.saturated_share > 0, dn.min() <= row.mean_dn <= dn.max()
-        value = np.nan if saturated else float(line.reflectance(row.mean_dn))
-        reach = factor * float(line.std(row.mean_dn, std_dn=row.std_error_dn))
+        value = float(line.reflectance(row.mean_dn, anisotropy=row.anisotropy))
+        value = np.nan if saturated else value
+        reach = factor * float(line.std(row.mean_dn, std_dn=row.std_error_dn)) / row.anisotropy
         remarks = ["saturated"] * saturated + ["beyond the reference targets"] * (not inside)
         remarks += [line.remark] * bool(line.remark)
+        doubted = pd.concat([known, patches.loc[[row.Index]]])
+        remarks += _said(doubted["name"], doubted["uneven"])
         figures = {"target": row.name} | _interval("reflectance", "", value, reach)
         yield figures | {"references": line.n, "remark": "; ".join(remarks)}
 

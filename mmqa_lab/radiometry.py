@@ -76,6 +76,15 @@ SHADOW, RELATIVE_STD = 6.0, 0.02
 ROUNDS, REWEIGHTINGS = 50, 16
 """Largest number of iterations, and iterations in which weights change."""
 
+FEWEST_PILED, LARGEST_DN = 9, tuple(2**bits - 1 for bits in (8, 10, 12, 14, 16))
+"""Pixels of one value that may be chance; the largest digital numbers of sensors and files."""
+
+FALLOFF = (0.0, 0.3)
+"""Light lost in the corners of an image of which nothing is known, and its standard deviation."""
+
+LOOSE, FEWEST_TIES = 2.0, 8
+"""Spread of an image's observations over that of most from which it is said, and their number."""
+
 RINGS, FALLS_OTHERWISE = 5, 4.0
 """Rings around the centre of an image, and standard errors by which one may differ from others."""
 
@@ -176,8 +185,9 @@ def patch_statistics(
     patches : array_like of int, shape (m, 4)
         First row, last row (excluded), first column, last column (excluded) of each target.
     full_scale : float, optional
-        DN from which a pixel is saturated. When not given it is the highest value, if more than 1
-        in 10,000 of the pixels and five times as many as of any of the ten levels below have it.
+        DN from which a pixel is saturated. When not given it is the highest value, if that is the
+        largest of 8, 10, 12, 14 or 16 bits, or if ten pixels, more than 1 in 10,000 and five times
+        as many as of any of the ten levels below have it.
 
     Returns
     -------
@@ -559,11 +569,14 @@ def ndvi(
 
 
 def saturation_level(dn):
-    """Return the digital number on which saturated pixels pile up, infinity where none does."""
+    """Return the digital number on which saturated pixels pile up, infinity where none does.
+
+    The largest number of 8, 10, 12, 14 or 16 bits is that of saturation, if only a pixel has it.
+    """
     top = dn.max()
     counts = np.array([np.count_nonzero(dn == top - k) for k in range(11)])
-    piled = counts[0] > max(1e-4 * dn.size, 5 * counts[1:].max(), 1)
-    return float(top) if piled else np.inf
+    piled = counts[0] > max(1e-4 * dn.size, 5 * counts[1:].max(), FEWEST_PILED)
+    return float(top) if piled or top in LARGEST_DN else np.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -690,7 +703,7 @@ def adjust_block(
     *,
     control: pd.DataFrame | None = None,
     anisotropy: bool = True,
-    radial: tuple[float, float] = (0.0, 0.0),
+    radial: tuple[float, float] = FALLOFF,
     haze: tuple[float, float] | None = None,
 ) -> BlockAdjustment:
     """Adjust the radiometry of a block of overlapping images.
@@ -716,7 +729,8 @@ def adjust_block(
     anisotropy : bool
         Estimate b1 and b2 of each surface; else they are 0.
     radial : (float, float)
-        Value and deviation, as from a flat-field calibration.
+        Value and deviation, as from a flat-field calibration: (0, 0) if that has removed it all. By
+        default it may be up to some tenths.
     haze : (float, float), optional
         Of each group, in the unit of R; by default free with control and 0 without, where it cannot
         be told from a brighter ground.
@@ -802,6 +816,13 @@ class _Block:
 
     def __init__(self, observations):
         check_columns(observations, COLUMNS, "observations")
+        named = [name for name in ("surface", "group") if name in observations]
+        missing = observations[[*COLUMNS, *named]].isna()
+        if missing.any(axis=None):
+            row, name = np.argwhere(missing.to_numpy())[0]
+            raise ValueError(
+                f"Invalid observations: no {missing.columns[name]} in row {row + 1}. Must be given."
+            )
         self.observations = observations
         self.signal = observations["radiance"].to_numpy(dtype=np.float64)
         if not (np.isfinite(self.signal).all() and (self.signal > 0).all()):
@@ -838,8 +859,13 @@ class _Block:
                 raise ValueError(
                     "Invalid control. Must be tie points of the block, each with a std above zero."
                 )
-            place = place - len(self.ties)
-            value[place], std[place] = control["reflectance"], control["std"]
+            # a target that stands there twice counts by its weighted mean
+            weight, count = control["std"].to_numpy(dtype=np.float64) ** -2, len(self.ties)
+            known = np.bincount(place, weight, count)
+            mean = np.bincount(place, weight * control["reflectance"], count)
+            place = np.unique(place)
+            value[place - count] = mean[place] / known[place]
+            std[place - count] = known[place] ** -0.5
         return value, std
 
     def start(self, value, std):
@@ -940,15 +966,34 @@ def _warn(block, estimate, value, std, share):
     ring = np.minimum(RINGS * block.radius2[counts], RINGS - 1).astype(int)
     rings = pd.Series(share[counts]).groupby(ring)
     uneven = rings.mean().abs() > FALLS_OTHERWISE * spread / np.sqrt(rings.size())
-    doubts = {
-        f"Control targets {', '.join(map(str, doubtful))} contradict the others, as one in shadow "
-        "does: the gains may be wrong by more than their deviations.": len(doubtful) > 0,
-        f"{odd:.0%} of the observations contradict the others, as those in shadow do: they do not "
-        "count.": odd > 0.01,
-        "The light falls off to the corners otherwise than radial and its square say: the gains "
-        "may be wrong by more than their deviations.": uneven.any(),
-    }
-    for text in (text for text, true in doubts.items() if true):
+    of_image = pd.Series(np.abs(share)).groupby(block.image)
+    loose = block.images[
+        (of_image.quantile(0.75) > LOOSE * max(of_image.quantile(0.75).median(), RELATIVE_STD / 10))
+        & (of_image.size() >= FEWEST_TIES)
+    ]
+    doubts = [
+        (
+            len(doubtful) > 0,
+            f"Control targets {', '.join(map(str, doubtful))} contradict the others, as one in "
+            "shadow does: the gains may be wrong by more than their deviations.",
+        ),
+        (
+            odd > 0.01,
+            f"{odd:.0%} of the observations contradict the others, as those in shadow do: they do "
+            "not count.",
+        ),
+        (
+            len(loose) > 0,
+            f"The observations of images {', '.join(map(str, loose))} contradict each other, as "
+            "where a part lies under a cloud: their gains may be wrong.",
+        ),
+        (
+            uneven.any(),
+            "The light falls off to the corners otherwise than radial and its square say: the "
+            "gains may be wrong by more than their deviations.",
+        ),
+    ]
+    for text in (text for true, text in doubts if true):
         warnings.warn(text, stacklevel=3)
 
 

@@ -1,9 +1,15 @@
 """Edges, stars, bars and sharpness on rendered targets whose point spread is known."""
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from rendered import slanted_edge, true_mtf50
+from scipy.ndimage import gaussian_filter
+from scipy.special import ndtr
 
 from mmqa_lab.mtf import fit_edge, haar_sharpness, measure_star, read_bars, resolving_power
 from mmqa_lab.simulate.targets import (
@@ -151,3 +157,98 @@ def test_a_long_oblique_edge_with_grain_is_found_among_many_pixels():
     found = fit_edge(image, method="sigmoid")
     assert found.mtf50 == pytest.approx(true_mtf50(0.9, np.radians(40)), rel=0.02)
     assert found.remark == ""
+
+
+def odd_edge(kind, rng, *, noise=0.01, angle_deg=None):
+    """An edge as people photograph it, rendered from 36 places a pixel; and its true MTF50."""
+    sigma, turn = rng.uniform(0.5, 1.6), np.radians(angle_deg or rng.uniform(3.5, 12))
+    y, x = (np.mgrid[:600, :384] + 0.5) / 6
+    y, x = y - 50, x - 32 - rng.uniform(-1, 1)
+    d, along = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
+    d -= {
+        "bend": lambda: rng.uniform(1, 8) * (along / 50) ** 2,
+        "kink": lambda: np.maximum(along, 0) * np.tan(np.radians(rng.uniform(3, 12))),
+        "wave": lambda: rng.uniform(0.6, 3) * np.sin(2 * np.pi * along / rng.uniform(8, 60)),
+        "torn": lambda: np.interp(along, np.arange(-90, 91, 3), rng.normal(0, 1, 61)),
+    }.get(kind, lambda: 0)()
+    seen = ndtr(d / sigma)
+    if kind == "second":
+        seen += rng.uniform(0.05, 0.3) * ndtr((d - rng.uniform(10, 22)) / sigma)
+    seen = seen.reshape(100, 6, 64, 6).mean(axis=(1, 3))
+    if kind == "sharpened":
+        seen += rng.uniform(1.0, 2.5) * (seen - gaussian_filter(seen, rng.uniform(1, 2)))
+    seen += noise * rng.standard_normal(seen.shape)
+    if kind == "white":
+        seen = np.minimum(seen, 1 / rng.uniform(1.04, 1.6))
+    if kind == "black":
+        seen = np.maximum(seen, rng.uniform(0.04, 0.37))
+    return 0.1 + 0.5 * (seen if rng.random() < 0.5 else seen.T), true_mtf50(sigma, turn)
+
+
+ODD_EDGES = {
+    "white": "white is clipped",
+    "black": "black is clipped",
+    "second": "a second edge|Must show one edge",
+    "bend": "straight",
+    "kink": "straight|Must show one edge",
+    "wave": "straight",
+    "torn": "straight",
+    "sharpened": "sharpened",
+}
+
+
+@pytest.mark.parametrize(("kind", "words"), ODD_EDGES.items())
+@settings(max_examples=4, deadline=None)
+@given(seed=st.integers(0, 10**6), noise=st.sampled_from([0.005, 0.02]))
+def test_an_edge_that_is_not_one_straight_unclipped_edge_says_why(kind, words, seed, noise):
+    image, _ = odd_edge(kind, np.random.default_rng(seed), noise=noise)
+    try:
+        said = fit_edge(image).remark
+    except ValueError as error:
+        assert kind != "sharpened"
+        said = str(error)
+    assert re.search(words, said)
+
+
+@settings(max_examples=6, deadline=None)
+@given(
+    seed=st.integers(0, 10**6),
+    noise=st.sampled_from([0.0, 0.01]),
+    angle=st.sampled_from([None, 26.565, 40.0, 45.0]),
+)
+def test_one_straight_edge_is_measured_without_a_remark(seed, noise, angle):
+    image, truth = odd_edge("plain", np.random.default_rng(seed), noise=noise, angle_deg=angle)
+    found = fit_edge(image)
+    assert found.remark == ""
+    assert found.mtf50 == pytest.approx(truth, abs=max(4 * found.mtf50_sigma, 0.012 * truth))
+    assert found.mtf50 == pytest.approx(truth, rel=0.1)
+
+
+def test_intervals_hold_where_noise_is_strong(rng):
+    fits = [(fit_edge(image), truth) for image, truth in (
+        odd_edge("plain", np.random.default_rng(k), noise=0.05) for k in range(30)
+    )]  # fmt: skip
+    inside = [abs(fit.mtf50 - truth) < 1.96 * fit.mtf50_sigma for fit, truth in fits]
+    assert np.mean(inside) >= 0.86
+
+
+@pytest.mark.parametrize("cycles", [35, 37])
+def test_the_cycles_of_a_star_are_those_of_the_picture(cycles, rng):
+    image = render_star((150, 150), PointSpread(0.8), cycles=36, radius_px=70)
+    image = image + 0.005 * rng.standard_normal(image.shape)
+    with pytest.raises(ValueError, match=f"star of {cycles} cycles"):
+        measure_star(image, (74.5, 74.5), cycles=cycles, radius_px=70)
+
+
+def test_a_star_that_is_clipped_or_hidden_in_part_says_so(rng):
+    image = render_star((150, 150), PointSpread(0.8), cycles=36, radius_px=70)  # 0.1 to 0.6
+    image = image + 0.005 * rng.standard_normal(image.shape)
+    y, x = np.mgrid[:150, :150] - 74.5
+    cases = {
+        "": image,
+        "white is clipped": np.minimum(image, 0.5),
+        "part of the star is hidden": np.where(np.arctan2(y, x) > 1, 0.3, image),
+    }
+    for words, seen in cases.items():
+        remark = measure_star(seen, (74.5, 74.5), cycles=36, radius_px=70).remark
+        assert (words in remark) if words else (remark == "")

@@ -236,3 +236,57 @@ def test_targets_of_an_image_are_measured_band_by_band(rng):
         edge[None], "edge", targets=targets.assign(x_px=10, width_px=60, height_px=60)[:1]
     )
     assert seen["mtf50_per_px"].item() == pytest.approx(PointSpread(0.8).mtf50(5), rel=0.01)
+
+
+@pytest.mark.parametrize("column", ["surface", "group", "azimuth_deg", "radius", "tie"])
+def test_an_observation_without_a_value_is_named(column, rng):
+    table, _, _ = block(rng, images=4, ties=10)
+    table = table.assign(surface="road", group=0).astype({"tie": float})
+    table[column] = table[column].where(table.index != 6)
+    with pytest.raises(ValueError, match=f"no {column} in row 7"):
+        adjust_block(table)
+
+
+def test_a_control_target_that_is_given_twice_counts_by_its_mean_in_any_order(rng):
+    table, ground, _ = block(rng, images=4, ties=20)
+    control = pd.DataFrame({"tie": range(6), "reflectance": ground[:6], "std": 0.002})
+    again = pd.concat([control, control[:1].assign(reflectance=1.01 * ground[0], std=0.001)])
+    gains = [
+        adjust_block(table, control=one, **PRIORS).gains["gain"] for one in (again, again[::-1])
+    ]
+    assert np.allclose(*gains, rtol=1e-9)
+    mean = (ground[0] + 4 * 1.01 * ground[0]) / 5  # weights 1 and 4
+    once = control.assign(reflectance=[mean, *ground[1:6]], std=[0.002 / 5**0.5, *[0.002] * 5])
+    assert np.allclose(
+        gains[0], adjust_block(table, control=once, **PRIORS).gains["gain"], rtol=1e-9
+    )
+
+
+def test_light_that_falls_off_is_allowed_for_without_a_word_of_it(rng):
+    table, ground, gain = block(rng)
+    dark = table["radiance"] * (1 - 0.25 * table["radius"] ** 2)
+    control = pd.DataFrame({"tie": range(8), "reflectance": ground[:8], "std": 0.002})
+    found = adjust_block(table.assign(radiance=dark), control=control)
+    off = (found.gains["gain"] / gain - 1).abs()
+    assert off.max() < 0.03
+    assert (off < 2.5 * found.gains["gain_std_percent"] / 100).all()
+
+
+def test_an_image_half_under_a_cloud_is_said(rng):
+    table, ground, _ = block(rng)
+    control = pd.DataFrame({"tie": range(8), "reflectance": ground[:8], "std": 0.002})
+    cloudy = (table["image"] == 5) & (table["azimuth_deg"] > 90)
+    for loss in (0.1, 0.3):
+        dark = table["radiance"] * np.where(cloudy, 1 - loss, 1.0)
+        with pytest.warns(UserWarning, match="images 5 contradict each other"):
+            adjust_block(table.assign(radiance=dark), control=control, **PRIORS)
+
+
+@pytest.mark.parametrize(
+    ("top", "pixels", "saturated"), [(3500, 2, False), (3500, 40, True), (4095, 2, True)]
+)
+def test_two_pixels_of_one_value_are_no_saturation_unless_it_is_the_largest(top, pixels, saturated):
+    image = np.linspace(100, 3000, 1600).reshape(40, 40)
+    image[0, :pixels] = top
+    share = patch_statistics(image, [[0, 1, 0, 40]])["saturated_share"].item()
+    assert (share > 0) == saturated

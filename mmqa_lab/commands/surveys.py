@@ -649,7 +649,9 @@ def radiometry(
     A row of the targets has image (name of the file; without the column it is in every one), name,
     and for edge, calibrate and reflect x_px, y_px, width_px, height_px (a region); for star x_px,
     y_px, radius_px, cycles; for calibrate radiance, for reflect reflectance (empty where sought),
-    or radiance_1, radiance_2, ... by band.
+    or radiance_1, radiance_2, ... by band. Optionally exposure, or time_s and f_number (calibrate);
+    reflectance_std, anisotropy (reflect). Other columns are refused. Pixels count in the upright
+    image, the first one's centre at 0.
 
     Parameters
     ----------
@@ -660,7 +662,7 @@ def radiometry(
     targets
         CSV file of the targets, see above.
     linear
-        8-bit values are linear in light.
+        Values are linear in light, as of RAW files; else edge, star and sharpness decode sRGB.
     """
     import pandas as pd
 

@@ -1,0 +1,86 @@
+"""Targets in images: columns that are known, regions that lie right, what is read of them."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from mmqa_lab import image_targets
+from mmqa_lab.charts import encode
+from mmqa_lab.simulate.targets import PointSpread, render_edge
+
+KNOWN = [0.05, 0.2, 0.45, np.nan]
+PLACES = {"x_px": [0, 20, 40, 60], "y_px": 0, "width_px": 20, "height_px": 20}
+
+
+def tarps(rng, dn=(600.0, 1200.0, 2200.0, 1000.0)):
+    """Four tarps side by side of 16 bits, DN 400 + 4000 reflectance; and their table."""
+    values = np.repeat([dn], 20, axis=1).repeat(20, axis=0) + rng.normal(0, 5, (20, 80))
+    radiance = [20.0, 80.0, 180.0, np.nan]
+    table = pd.DataFrame(
+        PLACES | {"reflectance": KNOWN, "radiance": radiance, "name": list("abcd")}
+    )
+    return values.astype(np.uint16)[None], table
+
+
+@pytest.mark.parametrize(
+    ("column", "nearest"),
+    [("height_m", "height_px"), ("anisotropie", "anisotropy"), ("f_numbr", "f_number")],
+)
+def test_columns_that_are_not_known_are_refused_by_name(column, nearest, rng):
+    image, table = tarps(rng)
+    with pytest.raises(ValueError, match=f"'{column}'.*'{nearest}' is the nearest"):
+        image_targets.measure(image, "reflect", targets=table.assign(**{column: 1.0}))
+
+
+def test_exposures_and_anisotropy_are_read(rng):
+    image, table = tarps(rng)
+    plain = image_targets.measure(image, "calibrate", targets=table)
+    relative = image_targets.measure(image, "calibrate", targets=table.assign(exposure=0.5))
+    assert relative["gain"].item() == pytest.approx(2 * plain["gain"].item())
+    settings = table.assign(time_s=0.02, f_number=8.0)  # half the usual exposure
+    found = image_targets.measure(image, "calibrate", targets=settings)
+    assert found["gain"].item() == pytest.approx(2 * plain["gain"].item())
+    seen = image_targets.measure(image, "reflect", targets=table.assign(anisotropy=[1, 1, 1, 1.5]))
+    assert seen["reflectance"].item() == pytest.approx(0.1, abs=0.002)
+    unsure = image_targets.measure(image, "reflect", targets=table.assign(reflectance_std=0.02))
+    width = unsure["reflectance_high"] - unsure["reflectance_low"]
+    assert 0.03 < width.item() < 0.08  # 2 x 1.96 x 0.02 over the root of two or three
+
+
+@pytest.mark.parametrize("measure", ["reflect", "calibrate"])
+def test_a_region_half_beside_its_tarp_is_said(measure, rng):
+    image, table = tarps(rng)
+    assert "not even" not in image_targets.measure(image, measure, targets=table)["remark"].item()
+    for axis, turned in ((0, image), (1, image.transpose(0, 2, 1))):
+        moved = table.assign(x_px=[0, 30, 40, 60])
+        if axis:
+            moved = moved.rename(columns={"x_px": "y_px", "y_px": "x_px"})
+        remark = image_targets.measure(turned, measure, targets=moved)["remark"].item()
+        assert "b not even: half beside its target?" in remark
+
+
+def test_a_target_that_fails_does_not_cost_the_others_their_rows(rng):
+    edge = render_edge((60, 80), PointSpread(0.8), angle_deg=5.0)
+    image = np.hstack([edge, rng.normal(0.5, 0.01, (60, 80))])[None]
+    table = pd.DataFrame({"x_px": [10, 90], "y_px": 0, "width_px": 60, "height_px": 60})
+    found = image_targets.measure(image, "edge", targets=table)
+    assert found["mtf50_per_px"].notna().tolist() == [True, False]
+    assert found["remark"].iloc[1].startswith("Invalid ")
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+def test_resolution_is_measured_alike_in_8_and_16_bits(bits, rng):
+    edge = render_edge((100, 64), PointSpread(0.8), angle_deg=5.0)
+    edge = edge + 0.002 * rng.standard_normal(edge.shape)
+    codes = np.round(encode(edge, "srgb") * (2**bits - 1)).astype(f"uint{bits}")
+    table = pd.DataFrame({"x_px": [0], "y_px": 0, "width_px": 64, "height_px": 100})
+    found = image_targets.measure(codes[None], "edge", targets=table)["mtf50_per_px"].item()
+    assert found == pytest.approx(PointSpread(0.8).mtf50(5), rel=0.02)
+
+
+@pytest.mark.parametrize(("column", "value"), [("x_px", np.nan), ("width_px", np.inf)])
+def test_a_place_that_is_no_number_names_its_target(column, value, rng):
+    image, table = tarps(rng)
+    table[column] = table[column].astype(float).mask(table.index == 2, value)
+    with pytest.raises(ValueError, match=f"Invalid {column} of target 3"):
+        image_targets.measure(image, "reflect", targets=table)
