@@ -38,7 +38,7 @@ def test_a_quick_run_is_not_stored(tmp_path):
 def picture(pixels):
     """A noisy picture as PNG, and in base 64."""
     stream = io.BytesIO()
-    noise = np.random.default_rng(0).integers(0, 255, (pixels, pixels, 3), dtype=np.uint8)
+    noise = np.random.default_rng(0).integers(0, 255, (pixels // 2, pixels, 3), dtype=np.uint8)
     Image.fromarray(noise).save(stream, "png")
     return stream.getvalue(), base64.b64encode(stream.getvalue()).decode()
 
@@ -64,13 +64,13 @@ def test_what_is_stored_is_small_and_needs_no_kernel(tmp_path):
     cells[0].outputs = outputs
     write_atomically(results / "ran.ipynb", nbformat.writes(nbformat.v4.new_notebook(cells=cells)))
     (results / "key.png").write_bytes(content)
-    answer = {"sentence": "Yes, by 3 mm.", "figure": "key"}
+    answer = {"sentence": "Yes, by 3 mm.", "figure": "other", "thumbnail": "key"}
     write_record(results, {"quick": False, "failure": "", "answer": answer})
     store(tmp_path, results.parent, [study])
     stored = nbformat.read(study.path, as_version=4)
     (shown,) = stored.cells[0].outputs
     width = Image.open(io.BytesIO(base64.b64decode(shown["data"]["image/png"]))).width
-    assert width <= 700
+    assert width <= 1000
     assert study.path.stat().st_size <= LARGEST_BYTES
     assert stored.metadata["mmqa_lab"]["code"] == code_hash(stored)
     assert (tmp_path / "answers.csv").read_text() == 'study,answer\nran,"Yes, by 3 mm."\n'

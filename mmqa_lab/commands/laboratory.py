@@ -120,6 +120,7 @@ def studies(
     workers: int | None = None,
     store: bool = False,
     out: Path | None = None,
+    site: Path | None = None,
 ):
     """Run the studies: every notebook, without a screen, with tables, figures and pages.
 
@@ -139,11 +140,19 @@ def studies(
         Store the outputs in the notebooks of the repository, and their thumbnails beside them.
     out
         Write the results into this folder instead.
+    site
+        Run nothing. Write the stored notebooks into this folder as pages, with a gallery, the
+        ledger, the glossary and the public names.
     """
     from mmqa_lab.run import notebooks, pages, verdict
     from mmqa_lab.run import store as storing
     from mmqa_lab.studies import STUDIES, TOOLS, chosen, notebooks_folder, results_folder
 
+    if site is not None:
+        from mmqa_lab.run.site import write_site
+
+        print(write_site(site, notebooks_folder(), [*chosen(names or []), *TOOLS]))
+        return 0
     usual = results_folder(notebooks_folder())
     folder = (out or (usual / "quick" if quick else usual)).resolve()
     wanted = [*chosen(names or []), *(TOOLS if store and not names else ())]

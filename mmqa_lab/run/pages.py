@@ -19,6 +19,7 @@ from mmqa_lab import __version__
 from mmqa_lab.io import write_atomically
 from mmqa_lab.published import ledger
 from mmqa_lab.run import four_digits, read_record, verdict
+from mmqa_lab.run.api import public_names
 from mmqa_lab.studies import notebooks_folder
 
 TEMPLATES = Path(__file__).parent / "templates"
@@ -36,7 +37,7 @@ LEDGER = ["source", "table", "cell", "role", "printed", "ours", "kind", "study",
 
 
 def write_pages(folder, studies):
-    """Write ``index.html``, ``glossary.html`` and, if a study has a ledger, ``ledger.html``.
+    """Write ``index.html``, ``glossary.html``, ``api.html`` and, of studies, ``ledger.html``.
 
     Parameters
     ----------
@@ -45,16 +46,28 @@ def write_pages(folder, studies):
     studies : list of mmqa_lab.studies.Study
         Studies that were never run are left out.
     """
-    folder, file = Path(folder), notebooks_folder() / ANSWERS
-    stored = dict(pd.read_csv(file).to_numpy()) if file.is_file() else {}
+    folder, stored = Path(folder), stored_answers(notebooks_folder())
     records = [(study, read_record(folder / study.stem)) for study in studies]
     ran = [(study, record) for study, record in records if "failure" in record]
     quick = any(record["quick"] for _, record in ran)
     counts = _write_ledger(folder, studies, quick)
-    words = pd.read_csv(TEMPLATES / "glossary.csv").to_html(index=False, border=0)
-    write_atomically(folder / "glossary.html", filled("glossary.html", table=words))
+    write_words(folder)
     shown = {"ran": ran, "stored": stored, "quick": quick, "counts": counts, "verdict": verdict}
     write_atomically(folder / "index.html", filled("index.html", **shown))
+
+
+def stored_answers(notebooks):
+    """Return the answers of the last stored run by the stems of their studies."""
+    file = Path(notebooks) / ANSWERS
+    return dict(pd.read_csv(file).to_numpy()) if file.is_file() else {}
+
+
+def write_words(folder):
+    """Write the pages of the field's words and of the package's names."""
+    tables = {"glossary": pd.read_csv(TEMPLATES / "glossary.csv"), "api": public_names()}
+    for name, table in tables.items():
+        page = filled(f"{name}.html", table=table.to_html(index=False, border=0))
+        write_atomically(Path(folder) / f"{name}.html", page)
 
 
 def _write_ledger(folder, studies, quick):
@@ -63,18 +76,31 @@ def _write_ledger(folder, studies, quick):
     if len(missing) == len(studies):
         return ""
     not_run = [table for study in missing for table in study.tables]
-    rows = ledger.collect(folder, not_run=not_run)
+    return write_ledger(folder / "ledger.html", ledger.collect(folder, not_run=not_run), quick)
+
+
+def write_ledger(path, rows, quick=False):
+    """Write the page of a ledger; return its counts of verdicts as HTML, empty of a quick run.
+
+    Parameters
+    ----------
+    path : path
+    rows : DataFrame
+        Of :func:`mmqa_lab.published.ledger.collect`.
+    quick : bool
+        Leave the verdicts out.
+    """
     counts = ledger.summary(rows).rename_axis(columns=None).reset_index()
     counts = "" if quick else counts.to_html(index=False, border=0)
     ours, low, high = (rows[name].map(four_digits) for name in ("ours", "ours_low", "ours_high"))
-    rows["printed"] += " " + rows["unit"]
     ours = ours + " (" + low + " to " + high + ")"
-    rows["ours"] = ours.str.replace(r" \(.*nan.*\)|nan", "", regex=True)
+    ours = ours.str.replace(r" \(.*nan.*\)|nan", "", regex=True)
+    rows = rows.assign(printed=rows["printed"] + " " + rows["unit"], ours=ours)
     decided = rows[rows["decides"] & (rows["role"] == "result")]
     zeros = int(((decided["verdict"] == "reproduced") & (decided["value"] == 0)).sum())
     shown = rows[LEDGER if quick else ["verdict", *LEDGER]].to_html(index=False, border=0)
     page = filled("ledger.html", counts=counts, zeros=zeros, table=shown)
-    write_atomically(folder / "ledger.html", page)
+    write_atomically(path, page)
     return counts
 
 

@@ -22,6 +22,9 @@ from mmqa_lab.run.pages import ANSWERS
 # Widths of stored figures, which is 178 mm at 143 dpi, and of thumbnails.
 WIDTH_PX, THUMBNAIL_PX = 1000, 280
 
+# File of the stored ledger, in the folder of the notebooks.
+LEDGER = "ledger.csv"
+
 # The first figure of the README, in the folder of results.
 KEY_FIGURE = "anisotropy/patterns.png"
 
@@ -63,7 +66,9 @@ def store(notebooks, folder, studies):
     write_atomically(kept, pd.DataFrame(answers.items(), columns=["study", "answer"]))
     if (folder / KEY_FIGURE).is_file():
         _store_figure(folder / KEY_FIGURE, notebooks / "key_figure.png", 1000)
-        _store_ledger(summary(collect(folder)), notebooks / "ledger.png")
+        rows = collect(folder)
+        write_atomically(notebooks / LEDGER, rows)
+        _store_ledger(summary(rows), notebooks / "ledger.png")
 
 
 def code_hash(notebook):
