@@ -21,14 +21,28 @@ CONSISTENT_SCALE = 1.482602218505602
 """1 / Phi^-1(3/4): the standard deviation of normal errors over their median absolute deviation."""
 
 
-HALF_WAVES = np.arange(3, 13, 2)
+HALF_WAVES = np.arange(3, 11)
 """Numbers of half waves over the points, for the errors that neighbours share. A single one would
-count a trend as an error. Even numbers would count that points at the edges lack neighbours."""
+count a trend as an error. Odd numbers alone are zero in the middle, even ones alone between there
+and the edges, where the few lines may lie that decide a median."""
 
 PARTS = 256
 CELLS = 1 << 16  # of the extent of points, in which they are counted
-COSINES = np.sqrt(2) * np.cos(np.pi * HALF_WAVES[:, None] * (np.arange(PARTS) + 0.5) / PARTS)
-"""The waves in parts of equal numbers of points, of mean 0 and mean square 1."""
+
+
+def _waves_over_parts():
+    """Waves (k, PARTS) without what is a polynomial of second degree; mean 0, mean square 1.
+
+    Neither a trend nor a bowl, as from points at the edges that lack neighbours, is then an error.
+    """
+    place = (np.arange(PARTS) + 0.5) / PARTS
+    waves, smooth = np.cos(np.pi * HALF_WAVES[:, None] * place), np.vander(place, 3).T
+    waves -= waves @ np.linalg.pinv(smooth) @ smooth
+    return waves / np.sqrt((waves**2).mean(axis=1, keepdims=True))
+
+
+COSINES = _waves_over_parts()
+"""The waves in parts of equal numbers of points."""
 
 
 @dataclass(frozen=True)
@@ -371,14 +385,7 @@ def median_interval(values: ArrayLike, block: ArrayLike) -> tuple[float, float]:
     """
     known = ~np.isnan(values)
     values, block = np.asarray(values)[known], np.asarray(block)[..., known]
-    reach = _reach(_influence(values[None]), block)[0] if len(values) else np.nan
-    if np.isnan(reach):
-        return np.nan, np.nan
-    shares = np.clip([0.5 - reach, 0.5 + reach], 0, 1)
-    ranks = np.rint(shares * (len(values) - 1)).astype(int)
-    low, high = np.partition(values, ranks)[ranks]
-    middle = np.median(values)  # between two values where their number is even
-    return float(min(low, middle)), float(max(high, middle))
+    return _quantiles_about(values, _reach(_influence(values[None]), block)[0])
 
 
 def median_ratio_interval(
@@ -411,21 +418,35 @@ def median_ratio_interval(
     top, bottom = np.asarray(top), np.asarray(bottom)
     known = ~(np.isnan(top) | np.isnan(bottom))
     both, block = np.array([top, bottom])[:, known], np.asarray(block)[..., known]
-    ends = np.array([median_interval(values, block) for values in both])
+    first, second = _influence(both)
+    reaches = _reach(np.array([first, second, first - second, first + second]), block)
+    ends = np.array([_quantiles_about(*one) for one in zip(both, reaches[:2], strict=True)])
     if not (np.isfinite(ends) & (ends > 0)).all():
         return np.nan, np.nan
     halves = np.log(ends[:, 1] / ends[:, 0]) / 2
-    first, second = _influence(both)
-    apart, summed = _reach(np.array([first - second, first + second]), block) ** 2
-    lengths = 4 * np.prod(_reach(np.array([first, second]), block))
+    apart, summed = reaches[2:] ** 2
+    lengths = 4 * np.prod(reaches[:2])
     together = np.clip((summed - apart) / lengths, -1, 1) if lengths > 0 else 0.0
     reach = np.sqrt(max(halves @ halves - 2 * together * np.prod(halves), 0.0))
     ratio = np.divide(*(np.median(values[~np.isnan(values)]) for values in (top, bottom)))
     return float(ratio * np.exp(-reach)), float(ratio * np.exp(reach))
 
 
+def _quantiles_about(values, reach):
+    """The values at a half less and a half plus a share, which enclose the median."""
+    if np.isnan(reach):
+        return np.nan, np.nan
+    shares = np.clip([0.5 - reach, 0.5 + reach], 0, 1)
+    ranks = np.rint(shares * (len(values) - 1)).astype(int)
+    low, high = np.partition(values, ranks)[ranks]
+    middle = np.median(values)  # between two values where their number is even
+    return float(min(low, middle)), float(max(high, middle))
+
+
 def _influence(rows):
     """The part of each value in the error of the share of its row below the median."""
+    if not rows.size:
+        return rows
     middles = np.median(rows, axis=1, keepdims=True)
     signs = ((rows > middles) - 1.0 * (rows < middles)) / 2
     return (signs - signs.mean(axis=1, keepdims=True)) / rows.shape[1]
@@ -434,6 +455,8 @@ def _influence(rows):
 def _reach(rows, block):
     """Half the 95 % interval of each row's sum, zero on average; NaN with fewer than two blocks."""
     ways = np.asarray(block)
+    if not rows.size:
+        return np.full(len(rows), np.nan)
     if ways.ndim > 1:  # of two pairs of waves, the wider interval counts
         pairs = zip(ways[::2], ways[1::2], strict=True)
         return np.max([_reach_by_waves(rows, *pair) for pair in pairs], axis=0)

@@ -63,7 +63,7 @@ def ellipsoid(error, covariance):
 BOARD_M = 0.71
 
 
-def scan_lines(rng, angle, *, along=0.005, across=0.02, growth=0.0):
+def scan_lines(rng, angle, *, along=0.005, across=0.02, growth=0.0, error=0.001):
     """Scan lines over a board; each errs by 1 mm across, and their gaps grow by a share."""
     half = 0.85 * BOARD_M
     places = [-half + across * rng.random()]
@@ -72,7 +72,7 @@ def scan_lines(rng, angle, *, along=0.005, across=0.02, growth=0.0):
     start = np.arange(-half, half, along)
     xy = [
         np.column_stack([start + along * rng.random(), np.full(len(start), place)])
-        for place in places + rng.normal(0, 0.001, len(places))
+        for place in places + rng.normal(0, error, len(places))
     ]
     xy = np.concatenate(xy) + rng.normal(0, 0.0003, (len(xy) * len(start), 2))
     c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
@@ -89,11 +89,13 @@ BOARDS = {
         [scan_lines(rng, angle, along=0.01) for angle in (45, -45)]
     ),
     "tilted": lambda rng, seed: scan_lines(rng, 20, growth=0.1),
+    "few lines": lambda rng, seed: scan_lines(rng, 20, across=0.05, growth=0.2, error=0.005),
     "clusters": lambda rng, seed: point_pattern(
         "clusters", density=3000, size=BOARD_M, seed=seed, ratio=3, angle=20
     ),
 }
-"""Points on a square board: without order, in lines, in lines of two heads, tilted, in clusters."""
+"""Points on a square board: without order, in lines, in lines of two heads, tilted, in few
+lines whose gaps vary and grow as where a drive changes speed, in clusters."""
 
 
 def board(seed, kind):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import shapely
+import shapely.affinity
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
@@ -93,6 +94,21 @@ def test_a_hole_is_empty_and_two_heads_may_leave_more_than_g_tells(rng):
     row = quality.intervals().set_index("figure").loc["e95"]
     assert row["value"] == table["e95_mm"]
     assert row["unit"] == "mm"
+
+
+@pytest.mark.parametrize(
+    "outline",
+    [
+        BOARD.difference(shapely.box(0.4, 0.4, 0.6, 0.6)),
+        shapely.MultiPolygon([shapely.box(0, 0, 0.3, 1), shapely.box(0.5, 0, 1, 1)]),
+    ],
+)
+def test_holes_and_parts_have_borders_too(rng, outline):
+    found = empty_space(
+        rng.random((3000, 2)) + 1e6, outline=shapely.affinity.translate(outline, 1e6, 1e6)
+    )
+    places = shapely.points(found.places - 1e6)
+    np.testing.assert_allclose(found.border, shapely.distance(outline.boundary, places), atol=1e-9)
 
 
 def test_nothing_to_measure_is_nan():
