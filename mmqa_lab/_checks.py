@@ -142,8 +142,8 @@ def check_same_crs(name, crs, other_name, other):
             raise ValueError(f"Invalid {name} in {part.name}. Must be in {must}.")
     for axis in crs.axis_info:
         if axis.unit_conversion_factor != 1:
-            odd = f"{'heights in ' if axis.direction == 'up' else ''}{axis.unit_name}"
-            raise ValueError(f"Invalid {name} in {odd} ({crs.name}). Must be projected, in metres.")
+            odd = f"{'with heights ' if axis.direction == 'up' else ''}in {axis.unit_name}"
+            raise ValueError(f"Invalid {name} {odd} ({crs.name}). Must be projected, in metres.")
 
 
 def check_upright(name, crs):

@@ -360,4 +360,7 @@ def _no_points(points):
         spread = np.median(np.abs(others - middle), axis=0)
         far = (np.abs(middle) > FAR_FROM_ZERO_M + 20 * spread).any()
         none |= zeros & (far or zeros.sum() > MOST_ZEROS)
-    return {"are not finite": ~finite, "stand for no data": none}
+    return {
+        "are not finite": ~finite,
+        "stand for no data (-9999 and the like, or 0, 0, 0 far from others)": none,
+    }
