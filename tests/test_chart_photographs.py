@@ -108,11 +108,55 @@ def test_texts_of_a_turned_photograph_are_upright():
         assert np.corrcoef(*pair)[0, 1] > 0.97
 
 
-def test_a_hidden_bar_is_said_and_not_replaced_in_silence():
-    shot = shoot(CHART, 4.0, seed=0, **CONDITIONS["pole on bar"])
+def behind(pixel_mm=5.4, **changes):
+    """A photograph of the chart behind a beam, and what is read of it."""
+    shot = shoot(CHART, pixel_mm, seed=2, **changes)
     there = chart_image.locate(grey(shot.image), CHART)
-    quality = chart_image.evaluate_image(shot.linear, CHART, there)
-    sizes = quality.sizes.set_index("name")["pixel_mm"]
-    assert np.isnan(sizes["bar_left"])
-    assert "no pixel size, as an end is not seen: bar_left" in quality.remarks
-    assert sizes["bar_right"] == pytest.approx(4.0, rel=0.02)
+    return shot, chart_image.evaluate_image(shot.linear, CHART, there)
+
+
+BEHIND = {
+    # what stands before the chart: patterns that are named, or a bar
+    "beam over 44 % of a row": ({"strips": ((1, 820.0, 17.6),)}, "hidden: pairs_h_20", 30.0),
+    "post on a standing bar": (
+        {"strips": ((0, 150.0, 30.0),), "yaw": 25},
+        "an end is not seen, its place is the map's: bar_left",
+        20.0,
+    ),
+    "beam on the ends of both bars": (
+        {"strips": ((1, 100.0, 15.0),), "yaw": 30, "pitch": 10},
+        "an end is not seen, its place is the map's: bar_left, bar_right",
+        20.0,
+    ),
+    "nothing": ({}, "", 20.0),
+}
+
+
+@pytest.mark.parametrize("name", BEHIND)
+def test_what_is_hidden_is_said_and_moves_no_figure(name):
+    changes, remark, coarsest = BEHIND[name]
+    shot, quality = behind(**changes)
+    said = "; ".join(quality.remarks)
+    assert remark in said
+    assert remark or not said
+    assert quality.resolution("h").width_mm <= coarsest
+    for direction in "hv":
+        bars = [CHART[one] for one in quality.sizes.query("direction == @direction")["name"]]
+        truth = sum(max(bar.width, bar.height) for bar in bars) / sum(map(shot.length, bars))
+        size, sigma = quality.pixel_size(direction)
+        assert abs(size - truth) < 2 * sigma  # the other bar alone is off by .6 % and more
+        assert sigma < 0.01 * size
+
+
+@pytest.mark.parametrize("other_mm", [5.5, 12.0])
+def test_of_two_charts_the_larger_is_measured_and_both_are_said(other_mm):
+    large, small = (
+        shoot(CHART, size, seed=1, mono=True, margin=0.2).image for size in (4.0, other_mm)
+    )
+    image = np.full((len(large), large.shape[1] + small.shape[1]), 90, np.uint8)
+    image[: len(small), : small.shape[1]] = small
+    image[:, small.shape[1] :] = large
+    there = chart_image.locate(image, CHART)
+    assert there.pixel_sizes_mm([[500, 500]]) == pytest.approx(4.0, rel=0.02)
+    # coded targets of 12 mm pixels cannot be decoded: nothing confuses the larger chart
+    assert there.charts == 1 + (other_mm < 12)

@@ -66,6 +66,9 @@ OUTLINES = {
 }
 """Lines around resolved and refused patterns."""
 
+UNSEEN_PX = 0.5
+"""Standard deviation of a bar's length in the map, px, where something hides an end of it."""
+
 
 @dataclass(frozen=True, eq=False)
 class ImageQuality(Shown):
@@ -113,13 +116,17 @@ class ImageQuality(Shown):
     def pixel_size(self, direction: str) -> tuple[float, float]:
         """Return the pixel size in direction h or v and its standard deviation, mm.
 
-        Bars of one direction share their bias, so that the mean of two is no better than one.
+        Bars of one direction share their bias, so that the mean of two is no better than one. A bar
+        whose end is hidden counts with its length in the map, which the whole print gives.
         """
-        bars = self.sizes[self.sizes["direction"] == direction].dropna(subset=["pixel_mm"])
-        if bars.empty:
+        bars = self.sizes[self.sizes["direction"] == direction]
+        seen = self.sizes["pixel_mm"].notna()
+        if bars.empty or not seen.any():
             return np.nan, np.nan
         mean = bars["length_mm"].sum() / bars["length_px"].sum()
-        return float(mean), float(bars["pixel_sigma_mm"].mean())
+        hidden = bars["pixel_mm"].isna().any()
+        sigma = np.hypot(self.sizes["length_sigma_px"].max(), UNSEEN_PX * hidden)
+        return float(mean), float(mean * sigma / bars["length_px"].mean())
 
     def resolution(self, direction: str) -> Resolution:
         """Return the finest resolved line pairs in direction h or v."""
@@ -142,23 +149,30 @@ class ImageQuality(Shown):
     def remarks(self) -> list[str]:
         """Reasons to doubt pixel sizes and widths."""
         clipped, residual = self.tones.clipped_share, self.residual_px
-        doubts = {
-            f"{clipped:.0%} of the plain pixels are clipped": clipped > 0.05,
-            f"bars end {residual:.1f} px from their places": residual > 1,
-        }
+        charts, pairs = self.chart_map.charts, self.pairs
         unseen = self.sizes.loc[self.sizes["pixel_mm"].isna(), "name"]
-        doubts[f"no pixel size, as an end is not seen: {', '.join(unseen)}"] = len(unseen) > 0
+        hidden = pairs.loc[pairs["reason"] == reading.HIDDEN, "name"]
+        moved = (pairs["reason"] == reading.MOVED) & (pairs["width_px"] > 4)
+        moved = pairs.loc[moved & (pairs["contrast"].abs() > 0.1), "name"]
+        # blurred pairs are half white, half black in linear light; a display's curve adds 0.2
+        blurred = pairs["contrast"].between(0.02, 0.7) & (pairs["reason"] != reading.HIDDEN)
+        tone = pairs.loc[blurred, "mean"].median()
+        doubts = [
+            (charts > 1, f"{charts} charts are seen, the largest is measured"),
+            (clipped > 0.05, f"{clipped:.0%} of the plain pixels are clipped"),
+            (residual > 1, f"bars end {residual:.1f} px from their places"),
+            (len(unseen), f"an end is not seen, its place is the map's: {', '.join(unseen)}"),
+            (len(hidden), f"hidden: {', '.join(hidden)}"),
+            (len(moved), f"bars are not where they are printed: {', '.join(moved)}"),
+            (
+                abs(tone - 0.5) > 0.12,
+                f"blurred line pairs have a mean tone of {tone:.2f} for 0.50: is gamma right?",
+            ),
+        ]
         for direction in "hv":
             nothing = np.isnan(self.resolution(direction).width_mm)
-            doubts[f"no line pairs are resolved in direction {direction}"] = nothing
-        hidden = self.pairs.loc[self.pairs["reason"] == reading.HIDDEN, "name"]
-        doubts[f"hidden: {', '.join(hidden)}"] = len(hidden) > 0
-        # blurred pairs are half white, half black in linear light; a display's curve adds 0.2
-        tone = self.pairs[self.pairs["contrast"].between(0.02, 0.7)]["mean"].median()
-        doubts[f"blurred line pairs have a mean tone of {tone:.2f} for 0.50: is gamma right?"] = (
-            abs(tone - 0.5) > 0.12
-        )
-        return [text for text, true in doubts.items() if true]
+            doubts.append((nothing, f"no line pairs are resolved in direction {direction}"))
+        return [sentence for true, sentence in doubts if true]
 
     def plot(self, *, ax: Axes) -> Axes:
         """Draw the photograph with its line pairs outlined: resolved or refused."""

@@ -11,6 +11,7 @@ then say where it is.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import combinations
 
 import cv2
@@ -21,8 +22,9 @@ from scipy.spatial.transform import Rotation
 from mmqa_lab._checks import check_image, check_points, check_positive
 from mmqa_lab.charts import Bar, Layout, LinePairs, Marker, reflectance
 
-ENLARGEMENTS, ENLARGED_PIXELS = (1, 2, 4), 4e6
-"""Factors of enlargement for small targets, and the number of pixels up to which they are used."""
+ENLARGEMENTS, ENLARGED_PIXELS, SHRUNK_PIXELS = (1, 2, 4), 4e6, 25e6
+"""Factors of enlargement for small targets, and the number of pixels up to which they are used;
+targets are sought in larger images than the last one made that small first."""
 
 SLENDEREST, MOST_STREAKS = 6.0, 1500
 """Least length of a dark streak over its width to count as a bar; number of streaks at most."""
@@ -44,6 +46,12 @@ FINEST = 800
 
 LIGHT_MM, SPREADS = 60.0, 3.0
 """Reach of local means and spreads; number of spreads to which larger values are cut."""
+
+BLOCKS = 20
+"""Blocks along a side of the chart in which the alignment looks for bent lines."""
+
+BEND_GAIN, BEND_PX = 14.0, 0.4
+"""How many times more than chance a bend must explain, and how far it must reach, to count."""
 
 STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 60, 1e-6)
 
@@ -102,6 +110,26 @@ class PanoramaCamera:
 
 
 @dataclass(frozen=True, eq=False)
+class Bend:
+    """A cubic displacement on a chart: what a lens or a board adds to a homography.
+
+    Parameters
+    ----------
+    size : (float, float)
+        Width and height of the chart, mm.
+    terms : array, shape (10, 2)
+        Displacement in x and y, mm, for each product of powers of x and y from -1 to 1.
+    """
+
+    size: tuple
+    terms: np.ndarray
+
+    def at(self, xy):
+        """Displacement at places, mm, shape (n, 2); it ends a quarter beyond the chart."""
+        return _powers(xy, self.size) @ self.terms
+
+
+@dataclass(frozen=True, eq=False)
 class ChartMap:
     """Where each place of a chart is in an image.
 
@@ -115,6 +143,10 @@ class ChartMap:
         Column and row that count as (0, 0), for a window of an image.
     source : str
         What the map was made from.
+    bend : Bend, optional
+        Is added to places before the matrix.
+    charts : int
+        That were seen in the image; this is the largest.
 
     Raises
     ------
@@ -134,6 +166,8 @@ class ChartMap:
     camera: object = None
     offset: tuple = (0.0, 0.0)
     source: str = "given"
+    bend: Bend | None = None
+    charts: int = 1
 
     @classmethod
     def from_points(
@@ -180,6 +214,7 @@ class ChartMap:
 
     def pixels(self, xy: ArrayLike) -> np.ndarray:
         """Return the pixels of chart places, shape (n, 2)."""
+        xy = xy if self.bend is None else xy + self.bend.at(xy)
         rays = np.column_stack([xy, np.ones(len(xy))]) @ self.matrix.T
         if self.camera is None:
             return rays[:, :2] / rays[:, 2:] - self.offset
@@ -192,8 +227,16 @@ class ChartMap:
             rays = np.column_stack([pixels, np.ones(len(pixels))])
         else:
             rays = self.camera.rays(pixels)
-        places = rays @ np.linalg.inv(self.matrix).T
-        return places[:, :2] / places[:, 2:]
+        rays = rays @ np.linalg.inv(self.matrix).T
+        flat = rays[:, :2] / rays[:, 2:]
+        if self.bend is None:
+            return flat
+        places = flat - self.bend.at(flat)
+        for _ in range(30):  # each step leaves less than half of the error
+            before, places = places, flat - self.bend.at(places)
+            if np.abs(places - before).max(initial=0) < 1e-5 * self.bend.size[0]:
+                break
+        return places
 
     def outline(self, corners: ArrayLike) -> np.ndarray:
         """Return the pixels along a closed outline on the chart, eight steps a side, (n, 2)."""
@@ -211,6 +254,12 @@ class ChartMap:
         xy, steps = np.asarray(xy, dtype=float), np.eye(2) / 2
         ends = [self.pixels(xy + step) - self.pixels(xy - step) for step in steps]
         return 1 / np.linalg.norm(ends, axis=2).T
+
+
+def _powers(xy, size):
+    """Products of the powers of x and y up to the third, both -1 to 1 over the chart, (n, 10)."""
+    x, y = np.clip(2 * np.asarray(xy, dtype=float) / size - 1, -1.5, 1.5).T
+    return np.stack([x**k * y ** (n - k) for n in range(4) for k in range(n + 1)], axis=1)
 
 
 def _same_orientation(homography, xy):
@@ -287,11 +336,14 @@ def locate(
     grey = _stretched(image)
     markers = {marker.identifier: marker for marker in layout.of_kind(Marker)}
     found = _decoded(grey, markers) if markers else []
-    if len(found) > 2 and len(found) == len(dict(found)):
+    groups = _by_chart(found, markers, layout)
+    if groups and len(groups[0]) > 2:
         # OpenCV counts from the upper left corner, clockwise
-        places = np.concatenate([markers[key].corners()[::-1] for key, _ in found])
-        seen = np.concatenate([corners for _, corners in found])
-        return ChartMap.from_points(places, seen, source=f"{len(found)} coded targets", **bent)
+        places = np.concatenate([markers[key].corners()[::-1] for key, _ in groups[0]])
+        seen = np.concatenate([corners for _, corners in groups[0]])
+        source = f"{len(groups[0])} coded targets"
+        chart_map = ChartMap.from_points(places, seen, source=source, **bent)
+        return replace(chart_map, charts=sum(len(group) > 1 for group in groups))
     chart_map = _by_bars(grey, layout)
     if chart_map is None:
         raise ValueError(
@@ -300,7 +352,8 @@ def locate(
         )
     steps = np.linspace(0, 1, 5)
     mesh = np.stack(np.meshgrid(steps * layout.width, steps * layout.height), -1).reshape(-1, 2)
-    return ChartMap.from_points(mesh, chart_map.pixels(mesh), source="long bars", **bent)
+    by_bars = ChartMap.from_points(mesh, chart_map.pixels(mesh), source="long bars", **bent)
+    return replace(by_bars, charts=chart_map.charts)
 
 
 def _decoded(grey, markers):
@@ -310,9 +363,11 @@ def _decoded(grey, markers):
     settings = cv2.aruco.DetectorParameters()
     settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_CONTOUR
     best = []
-    for times in ENLARGEMENTS if grey.size <= ENLARGED_PIXELS else (1,):
-        size = {"dsize": None, "fx": times, "fy": times, "interpolation": cv2.INTER_CUBIC}
-        large = cv2.resize(grey, **size) if times > 1 else grey
+    shrunk = (SHRUNK_PIXELS / grey.size) ** 0.5
+    sizes = (1,) if shrunk > 1 else (shrunk, 1)
+    for times in ENLARGEMENTS if grey.size <= ENLARGED_PIXELS else sizes:
+        way = cv2.INTER_CUBIC if times > 1 else cv2.INTER_AREA
+        large = cv2.resize(grey, None, fx=times, fy=times, interpolation=way)
         # targets of less than 6 px a side cannot be decoded, their contours would cost time
         settings.minMarkerPerimeterRate = 24 * times / max(large.shape)
         corners, numbers, _ = cv2.aruco.ArucoDetector(book, settings).detectMarkers(large)
@@ -320,9 +375,26 @@ def _decoded(grey, markers):
         numbers = [] if numbers is None else np.ravel(numbers).tolist()
         found = [pair for pair in zip(numbers, places, strict=True) if pair[0] in markers]
         best = max(best, found, key=len)
-        if len(best) >= len(markers):
+        if len(best) >= (3 if times < 1 else len(markers)):
             break
     return best
+
+
+def _by_chart(found, markers, layout):
+    """The targets of each chart, the largest chart first: each says where the middle should be."""
+    groups = []
+    for key, corners in found:
+        one = ChartMap.from_points(markers[key].corners()[::-1], corners)
+        middle = one.pixels([[layout.width / 2, layout.height / 2]])[0]
+        side = np.linalg.norm(corners[0] - corners[2]) / markers[key].size * layout.width
+        near = [group for group in groups if np.linalg.norm(group[0] - middle) < side / 3]
+        near = [group for group in near if key not in dict(group[2])]
+        if near:
+            near[0][2].append((key, corners))
+        else:
+            groups.append((middle, side, [(key, corners)]))
+    groups = sorted(groups, key=lambda group: (-min(len(group[2]), 3), -group[1]))
+    return [group[2] for group in groups]
 
 
 def _stretched(image):
@@ -341,7 +413,8 @@ def align(image, layout, chart_map):
     """Improve a map by the whole printed chart.
 
     In the chart's frame, photograph and print are each divided by their local mean and spread;
-    OpenCV's enhanced correlation finds the homography between them, on finer and finer cells. Fine
+    OpenCV's enhanced correlation finds the homography between them, on finer and finer cells. A
+    cubic displacement is added where lens or board bend lines clearly more than chance does. Fine
     line pairs are left out.
 
     Parameters
@@ -359,10 +432,12 @@ def align(image, layout, chart_map):
     Raises
     ------
     ValueError
-        If the chart is not found there: a correlation below 0.6.
+        If the chart is not found there: a correlation below 0.6, also where
+        lines are bent by more than a cubic displacement takes.
 
     References
     ----------
+    Baker and Matthews 2004, doi:10.1023/B:VISI.0000011205.11775.fd.
     Evangelidis and Psarakis 2008, doi:10.1109/TPAMI.2008.113.
 
     Examples
@@ -381,27 +456,56 @@ def align(image, layout, chart_map):
     image = check_image(image)
     pixel_mm = float(np.median(chart_map.pixel_sizes_mm(layout.corners())))
     finest = min(int(layout.width / pixel_mm), FINEST)
+    chart_map = _bent(image, layout, chart_map, min(30, finest))
     for along in sorted({min(60, finest), min(160, finest)}):
         chart_map, _ = _compared(image, layout, chart_map, along)
-    tried = [_compared(image, layout, chart_map, max(finest, 12), blur) for blur in SIGMAS_PX]
-    chart_map, correlation = max(tried, key=lambda result: result[1])
+        chart_map = _bent(image, layout, chart_map, along)
+    chart_map, finest = _straight(chart_map, layout), max(finest, 12)
+    tried = [(*_compared(image, layout, chart_map, finest, blur), blur) for blur in SIGMAS_PX]
+    chart_map, correlation, blur = max(tried, key=lambda result: result[1])
+    chart_map = _straight(_bent(image, layout, chart_map, finest, blur), layout)
+    correlation = _correlation(*_framed(image, layout, chart_map, finest, blur)[:3])
     if not correlation >= SMALLEST_CORRELATION:
         raise ValueError(
             f"Invalid place of the chart: its print correlates by {correlation:.2f} with the "
-            f"image. Must be {SMALLEST_CORRELATION} or more; is the chart there, and not mirrored?"
+            f"image. Must be {SMALLEST_CORRELATION} or more; is the chart there, not mirrored, "
+            "and are its lines straight?"
         )
     return replace(chart_map, source=f"{chart_map.source}, aligned")
 
 
 def _compared(image, layout, chart_map, along, sigma_px=SIGMAS_PX[0]):
-    """A map after OpenCV's enhanced correlation, and the correlation.
+    """A map after OpenCV's enhanced correlation, and the correlation."""
+    printed, seen, trusted, cell, _ = _framed(image, layout, chart_map, along, sigma_px)
+    try:
+        _, warp = cv2.findTransformECC(
+            printed, seen, np.eye(3, dtype=np.float32), cv2.MOTION_HOMOGRAPHY, STOP, trusted, 1
+        )
+    except cv2.error:  # nothing in common
+        warp = np.eye(3)
+    size = {"dsize": seen.shape[::-1], "flags": cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP}
+    moved = cv2.warpPerspective(seen, warp, **size)
+    to_mm = np.array([[cell, 0, cell / 2], [0, cell, cell / 2], [0, 0, 1]])
+    change = to_mm @ warp @ np.linalg.inv(to_mm)
+    better = replace(chart_map, matrix=chart_map.matrix @ change)
+    return better, _correlation(moved, printed, trusted)
 
-    Photograph and print lie in the chart's frame, ``along`` cells a side, each divided by its own
-    local mean and spread, so that light and shadow do not count.
+
+def _correlation(seen, printed, trusted):
+    """Correlation of two standardised images where they are trusted."""
+    one, two = (np.clip(part, -SPREADS, SPREADS)[trusted > 0] for part in (seen, printed))
+    return float(one @ two / max(np.linalg.norm(one) * np.linalg.norm(two), 1e-12))
+
+
+def _framed(image, layout, chart_map, along, sigma_px):
+    """Print, photograph and trust in the chart's frame, the cell's side and a pixel's, mm.
+
+    There are ``along`` cells a side. Print and photograph are each divided by their own local mean
+    and spread, so that light and shadow do not count.
     """
     pixel_mm = float(np.median(chart_map.pixel_sizes_mm(layout.corners())))
     cell = layout.width / along
-    printed = reflectance(layout, cell=cell)
+    printed = _print(layout, cell)
     rows, columns = printed.shape
     blur = np.hypot(sigma_px * pixel_mm / cell, 0.5)
     y, x = (np.indices((rows, columns)) + 0.5) * cell
@@ -411,23 +515,74 @@ def _compared(image, layout, chart_map, along, sigma_px=SIGMAS_PX[0]):
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), soft)
     seen = cv2.remap(smooth, pixels, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     inside = ((pixels >= 0) & (pixels <= np.array(image.shape[::-1]) - 1)).all(axis=2)
-    reach = LIGHT_MM / cell
-    printed = _standardised(cv2.GaussianBlur(printed, (0, 0), blur), reach)
-    seen = _standardised(seen, reach)
-    trusted = (_trusted(layout, pixel_mm, cell, printed.shape) * inside).astype(np.uint8)
-    try:
-        _, warp = cv2.findTransformECC(
-            printed, seen, np.eye(3, dtype=np.float32), cv2.MOTION_HOMOGRAPHY, STOP, trusted, 1
-        )
-    except cv2.error:  # nothing in common
-        warp = np.eye(3)
-    size = {"dsize": (columns, rows), "flags": cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP}
-    moved = cv2.warpPerspective(seen, warp, **size)
-    to_mm = np.array([[cell, 0, cell / 2], [0, cell, cell / 2], [0, 0, 1]])
-    change = to_mm @ warp @ np.linalg.inv(to_mm)
-    better = replace(chart_map, matrix=chart_map.matrix @ change)
-    one, two = (np.clip(part, -SPREADS, SPREADS)[trusted > 0] for part in (moved, printed))
-    return better, float(one @ two / max(np.linalg.norm(one) * np.linalg.norm(two), 1e-12))
+    printed = _standardised(cv2.GaussianBlur(printed, (0, 0), blur), LIGHT_MM / cell)
+    trusted = _trusted(layout, pixel_mm, cell, printed.shape) * inside
+    return printed, _standardised(seen, LIGHT_MM / cell), trusted.astype(np.uint8), cell, pixel_mm
+
+
+@lru_cache(maxsize=4)
+def _print(layout, cell):
+    """The reflectance of a chart, kept for the next steps."""
+    return reflectance(layout, cell=cell)
+
+
+def _bent(image, layout, chart_map, along, sigma_px=SIGMAS_PX[0]):
+    """A map with the cubic displacement that print and photograph show, if they show one.
+
+    Blocks of the chart ask for shifts (Lucas and Kanade); those that differ from the print, behind
+    a post or at a shadow's edge, count little.
+    """
+    size = layout.width, layout.height
+    places = (np.indices((BLOCKS, BLOCKS))[::-1].reshape(2, -1).T + 0.5) / BLOCKS * size
+    design = _powers(places, size)
+    for _ in range(8):
+        printed, seen, trusted, cell, pixel_mm = _framed(image, layout, chart_map, along, sigma_px)
+        # close to the chart's edge, pixels see what is beyond
+        trusted[:2] = trusted[-2:] = trusted[:, :2] = trusted[:, -2:] = 0
+        change, gain = _shifts(printed, seen, trusted, design)
+        far = np.abs(design @ change).max() * cell / max(pixel_mm, cell)
+        if chart_map.bend is None and (gain < BEND_GAIN or far < BEND_PX):
+            break
+        before = 0 if chart_map.bend is None else chart_map.bend.terms
+        chart_map = replace(chart_map, bend=Bend(size, before + change * cell))
+        if gain < 1 or far < 0.02:
+            break
+    return chart_map
+
+
+def _straight(chart_map, layout):
+    """A map without its bend where a homography does as well."""
+    mesh = np.indices((5, 5)).reshape(2, -1).T / 4 * [layout.width, layout.height]
+    pixels = chart_map.pixels(mesh)
+    plain = ChartMap.from_points(
+        mesh, pixels, camera=chart_map.camera, offset=chart_map.offset, source=chart_map.source
+    )
+    bent = np.linalg.norm(plain.pixels(mesh) - pixels, axis=1).max() > BEND_PX
+    return chart_map if bent else replace(chart_map, matrix=plain.matrix, bend=None)
+
+
+def _shifts(printed, seen, trusted, design):
+    """Terms of the displacement, cells, and what they explain beyond chance per term."""
+    down, right = np.gradient(seen)
+    parts = [right, down, np.clip(printed - seen, -SPREADS, SPREADS)]
+    sums = np.array([[one * two * trusted for one in parts] for two in parts]).reshape(9, -1)
+    size = {"dsize": (BLOCKS, BLOCKS), "interpolation": cv2.INTER_AREA}
+    sums = np.stack([cv2.resize(part.reshape(seen.shape), **size).ravel() for part in sums], axis=1)
+    sums = sums.reshape(-1, 3, 3)
+    slopes, asked, before = sums[:, :2, :2], sums[:, :2, 2], sums[:, 2, 2]
+    weight = np.ones(len(sums))
+    for _ in range(8):
+        matrix = np.einsum("b,bi,bjk,bl->ijlk", weight, design, slopes, design)
+        matrix = matrix.reshape(2 * design.shape[1], -1)
+        wanted = np.einsum("b,bi,bj->ij", weight, design, asked)
+        matrix += 1e-6 * np.trace(matrix) * np.eye(len(matrix))
+        change = np.linalg.solve(matrix, wanted.ravel()).reshape(-1, 2)
+        shift = design @ change
+        left = before - 2 * (shift * asked).sum(1) + np.einsum("bi,bij,bj->b", shift, slopes, shift)
+        typical = max(np.median(left[before > 0]), 1e-12) if before.any() else 1.0
+        weight = 1 / (1 + (np.maximum(left, 0) / (2 * typical)) ** 2)
+    explained, rest = weight @ (before - left), max(weight @ left, 1e-12)
+    return change, float(explained / change.size / (rest / (2 * len(sums))))
 
 
 def _standardised(tones, reach):
@@ -464,7 +619,15 @@ def _by_bars(grey, layout):
         found += [(r, replace(guess, matrix=grow @ guess.matrix)) for r, guess in guesses]
         if any(correlation > CERTAIN for correlation, _ in found):
             break
-    return max(found, key=lambda guess: guess[0])[1] if found else None
+    if not found:
+        return None
+    middle, charts = [[layout.width / 2, layout.height / 2]], []
+    for _, chart_map in sorted(found, key=lambda guess: -guess[0]):
+        side = np.ptp(chart_map.pixels(layout.corners()), axis=0).max()
+        apart = [np.ptp([chart_map.pixels(middle), at], axis=0).max() for at, _, _ in charts]
+        if not any(distance < side / 2 for distance in apart):
+            charts.append((chart_map.pixels(middle), side, chart_map))
+    return replace(max(charts, key=lambda chart: chart[1])[2], charts=len(charts))
 
 
 def _guesses(grey, layout, bars):

@@ -9,7 +9,7 @@ printed. Contrast alone is no evidence: aliases, bars doubled by motion and thos
 defocus have plenty of it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -31,7 +31,13 @@ SMALLEST_PAIR_PX = 2.3
 pixels is shorter than eight pairs, so that some of them vanish at every phase."""
 
 HIDDEN, SURE_CONTRAST = "hidden", 0.3
-"""Reason of patterns that something hides: a finer one is resolved with this contrast."""
+"""Reason of patterns that something hides: also where a finer one is resolved so clearly."""
+
+RIM_PX, RIM_MM, RIM_TONE, RIM_SHARE = 1.5, 12.0, 0.2, 0.04
+"""White around a pattern is looked at: so deep in white, so far around. The pattern is hidden where
+that share of it is so far from white."""
+
+MOVED = "bars not where they are printed"
 
 END_REACH_PX, END_STEP_PX = 6.0, 0.1
 """Pixels to either side of a bar's end that are read, in these steps: the inner half for the end,
@@ -50,11 +56,14 @@ class Tones:
         Standard deviation of a pixel, in the same unit: the larger one of black and white.
     clipped_share : float
         Share of the plain pixels at zero or full scale.
+    odd : array, optional
+        How far plain white is from white; NaN where none is printed.
     """
 
     values: np.ndarray
     noise: float
     clipped_share: float = 0.0
+    odd: np.ndarray | None = None
 
     def near(self, chart_map, outline):
         """Return the places on the chart, mm, and values of the known pixels around an outline."""
@@ -119,7 +128,8 @@ def find_tones(image, layout, chart_map):
             f"Must be {SMALLEST_CONTRAST:g} times the noise or more; is the chart there?"
         )
     plain = image[white | black]
-    return Tones(values, noise, float(((plain >= 1) | (plain <= 0)).mean()))
+    odd = np.where(inside & (to_white >= RIM_PX), np.abs(values - 1), np.nan)
+    return Tones(values, noise, float(((plain >= 1) | (plain <= 0)).mean()), odd)
 
 
 @dataclass(frozen=True)
@@ -224,10 +234,14 @@ def read_pairs(tones: Tones, layout: Layout, chart_map: ChartMap) -> pd.DataFram
     >>> resolution(pairs, "v").width_mm  # 2.5 pixels; 8 mm are 2
     10.0
     """
-    readings = [read_pattern(tones, pairs, chart_map) for pairs in layout.of_kind(LinePairs)]
+    patterns = layout.of_kind(LinePairs)
+    readings = [read_pattern(tones, pairs, chart_map) for pairs in patterns]
     table = pd.DataFrame(readings, columns=list(PairReading.__dataclass_fields__))
     order = ["direction", "width_mm"]
     table = table.sort_values(order, ascending=[True, False], ignore_index=True)
+    crossed = [pairs.name for pairs in patterns if _crossed(tones, pairs, chart_map)]
+    seen = table["resolved"] | (table["width_px"] < SMALLEST_PAIR_PX)
+    table.loc[table["name"].isin(crossed) & ~seen, "reason"] = HIDDEN
     for _, ladder in table.groupby("direction"):
         # lobes of defocus and motion stay below that: what is coarser would be seen too
         sure = ladder["resolved"] & (ladder["contrast"] >= SURE_CONTRAST)
@@ -381,7 +395,8 @@ def pixel_sizes(tones, layout, chart_map):
         ``length_px`` between the ends and its standard deviation ``length_sigma_px``,
         ``repeats_std_px`` (standard deviation of the ``n`` repeats; NaN for one),
         ``pixel_mm`` = length_mm / length_px with ``pixel_sigma_mm``, and ``offset_px``, how far
-        along the bar its ends lie from the map (root mean square). NaN where an end is not seen.
+        along the bar its ends lie from the map (root mean square). Where an end is not seen, ``n``
+        is 0 and the last three are NaN.
 
     References
     ----------
@@ -403,8 +418,8 @@ def pixel_sizes(tones, layout, chart_map):
     table = pd.DataFrame([_measured(tones, bar, chart_map) for bar in bars])
     # ends of all bars tell how far the map is off
     both = np.sqrt(2 * (table["offset_px"] ** 2).mean())
-    table["length_sigma_px"] = table["length_px"] * 0 + both
-    table["pixel_mm"] = table["length_mm"] / table["length_px"]
+    table["length_sigma_px"] = both
+    table["pixel_mm"] = (table["length_mm"] / table["length_px"]).where(table["n"] > 0)
     table["pixel_sigma_mm"] = table["pixel_mm"] * table["length_sigma_px"] / table["length_px"]
     return table
 
@@ -486,6 +501,18 @@ def _pixels(tones, pairs, chart_map):
     return across[inside], along[inside], values[inside], float(width_px), length_px
 
 
+def _crossed(tones, pairs, chart_map):
+    """Whether the white around a pattern is not white everywhere: something hides part of it."""
+    if tones.odd is None:
+        return False
+    low, high = pairs.corners()[[0, 2]]
+    share = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    outline = low - RIM_MM + share * (high - low + 2 * RIM_MM)
+    places, odd = replace(tones, values=tones.odd).near(chart_map, outline)
+    rim = ((places < low) | (places > high)).any(axis=1)
+    return rim.sum() > 10 and (odd[rim] > RIM_TONE).mean() > RIM_SHARE
+
+
 def _wave(across, values, pairs, width_px):
     """Modulation and phase of the printed wave, and the bars of the strongest one."""
     turns = across / pairs.pair - 0.25
@@ -543,7 +570,7 @@ def _refusal(width_px, phase, bars, repeats, share):
     if abs(bars - repeats) > 0.6:
         return "wrong number of bars"
     if abs(phase) > 50:  # a reversal is 180 degrees
-        return "bars not where they are printed"
+        return MOVED
     if share < 0.75:  # of the strips
         return "gaps do not stand out"
     return ""
@@ -556,7 +583,8 @@ def _measured(tones, bar, chart_map):
     size = ends[1] - ends[0]
     ends[:, 1 - axis] = ends[:, 1 - axis].mean()
     row = {"name": bar.name, "direction": "hv"[axis], "length_mm": float(size[axis]), "n": 0}
-    row |= {"length_px": np.nan, "repeats_std_px": np.nan, "offset_px": np.nan}
+    row["length_px"] = float(np.linalg.norm(np.subtract(*chart_map.pixels(ends))))
+    row |= {"repeats_std_px": np.nan, "offset_px": np.nan}
     across_px = size[1 - axis] / chart_map.pixel_sizes_mm(ends)[:, 1 - axis].max()
     count = max(int(across_px) - 1, 1)
     lanes = ((np.arange(count) + 0.5) / count - 0.5) * (1 - 1 / across_px) * size[1 - axis]
@@ -567,7 +595,7 @@ def _measured(tones, bar, chart_map):
     if min(np.isfinite(end).mean() for end in (low_end, high_end)) < 0.6:
         return row
     repeats = (low_end + high_end)[np.isfinite(low_end + high_end)]
-    row["n"], row["length_px"] = len(repeats), np.linalg.norm(np.subtract(*chart_map.pixels(ends)))
+    row["n"] = len(repeats)
     offsets = np.nanmean([low_end, high_end], axis=1)
     row["offset_px"] = float(np.sqrt((offsets**2).mean()))
     row["repeats_std_px"] = pd.Series(repeats).std()
