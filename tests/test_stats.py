@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from statsmodels.stats.proportion import proportion_confint
 from statsmodels.stats.weightstats import DescrStatsW
@@ -54,3 +54,26 @@ def test_reach_of_a_mean_is_students_of_independent_values_and_wider_of_dependen
     twice = stats.mean_reach(np.repeat(values, 2), np.repeat(np.arange(30), 2))
     assert twice == pytest.approx((high - low) / 2)
     assert np.isnan(stats.mean_reach(values, np.zeros(30, int)))
+
+
+def test_slow_waves_are_blind_to_trends_and_bowls_but_to_no_place():
+    """An error of the few lines in the middle, which decide a median, counts like any other."""
+    place = np.linspace(-1, 1, stats.PARTS)
+    np.testing.assert_allclose(stats.COSINES @ np.vander(place, 3), 0, atol=1e-9)
+    np.testing.assert_allclose((stats.COSINES**2).mean(axis=1), 1)
+    seen = (stats.COSINES**2).mean(axis=0)
+    assert seen.min() > 0.3
+    assert seen[stats.PARTS // 4 : -stats.PARTS // 4].max() < 2
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(1, 3000), st.integers(0, 2**32 - 1), st.sampled_from([0, 1, 3]))
+def test_parts_hold_equal_numbers_and_follow_the_order_of_places(n, seed, digits):
+    xy = np.random.default_rng(seed).random((n, 2)).round(digits)
+    xy[0] = [1e6, -1e6]  # far away from the others
+    for parts, places in zip(stats.waves(xy, 0), (xy[:, 1], xy[:, 0]), strict=True):
+        order = np.argsort(places, kind="stable")
+        assert (np.diff(parts[order]) >= 0).all()
+        assert set(parts) <= set(range(stats.PARTS))
+        alike = np.unique(places, return_counts=True)[1].max()
+        assert np.bincount(parts).max() <= n / stats.PARTS + alike + 1
