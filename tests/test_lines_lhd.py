@@ -4,6 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
+import window_rows
 from scipy.optimize import linear_sum_assignment
 from towns import town
 
@@ -303,3 +304,22 @@ def test_an_independent_town_is_matched(move):
         errors.append(np.linalg.norm(match.vector - expected))
     assert np.mean(f1) >= 0.96
     assert max(errors) < 0.1
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_displaced_pairs_of_rows_of_windows_stand(seed, monkeypatch):
+    """Many equal verticals a metre or two apart, of an own generator; fragments pairs them all."""
+    test, model, truth, shift = window_rows.scene(seed, drift=0.2, turn_deg=1.0, length=18.0)
+    found = lhd(test, model, matcher="displaced")
+    assert found.matcher == "displaced"
+    assert pairing_scores(found.test_model.pairs, truth).f1 >= 0.95
+    assert np.linalg.norm(found.displacement.vector - shift) < 0.25
+    assert pairing_scores(lhd(test, model, matcher="fragments").test_model.pairs, truth).f1 < 0.9
+    called = []
+    monkeypatch.setattr(
+        "mmqa_lab.lines.distance.match_displaced",
+        lambda *sets, **choices: called.append(1) or match_displaced(*sets, **choices),
+    )
+    table = lines.compare({"test": test, "model": model}, matcher="displaced")
+    assert table["displaced_pairs"].tolist() == [found.test_model.n] * 2
+    assert called == [1]

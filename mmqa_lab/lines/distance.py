@@ -254,7 +254,7 @@ def lhd(
         W of the angle, >= 0.
     matcher : {"all", "nearest", "mutual", "hungarian", "fragments", "displaced"}
         ``all`` is the published method. ``displaced`` estimates the displacement first
-        (:func:`match_displaced`); if it finds too few pairs, ``fragments`` is used.
+        (:func:`match_displaced`); if it finds no pairs, ``fragments`` is used.
     rotate, within
         As in :func:`components`.
     norm : {"pairs", "all"}
@@ -317,15 +317,16 @@ def lhd(
         pairs = check_pairs(pairs, (len(test), len(model)))
     elif matcher == "displaced":
         pairs = match_displaced(test, model, radius=radius).pairs
-        # too few pairs: less than three fifths of those found by fragments
-        if pairs.sum() < 0.6 * one_way(test, model, matcher="fragments", pairs=None).n:
+        if not pairs.any():
             pairs, matcher = None, "fragments"
     there = one_way(test, model, matcher=matcher, pairs=pairs)
     back = one_way(model, test, matcher=matcher, pairs=None if pairs is None else pairs.T)
     back = replace(back, pairs=back.pairs.T)
     remarks = _doubts(test, model, there, back)
     if matcher != asked:
-        remarks.append(f"Too few pairs agree on a displacement. Matcher {matcher!r} is used.")
+        remarks.append(
+            "No displacement unites more lines than chance. Matcher 'fragments' is used."
+        )
     for remark in remarks:
         warnings.warn(remark, stacklevel=2)
     return LHD(weight, matcher, there, back, test, model, remarks)
@@ -440,7 +441,9 @@ def _compared(names, test, model, radius, choices):
     """The two rows of a comparison."""
     with warnings.catch_warnings(action="ignore", category=UserWarning):
         found = lhd(test, model, radius=radius, **choices)
-    moved = match_displaced(test, model, radius=radius)
+    moved = found.displacement
+    if found.matcher != "displaced":
+        moved = match_displaced(test, model, radius=radius)
     table, remarks = found.to_frame(), found.remarks
     table["direction"] = " to ".join(names), " to ".join(names[::-1])
     table.insert(0, "comparison", "-".join(names))
