@@ -31,7 +31,7 @@ from mmqa_lab._checks import (
     check_same_crs,
 )
 from mmqa_lab.chart_cloud import COARSE_MM, PAIRS
-from mmqa_lab.cloud import cells_of, sort_into_cells, unit_remarks
+from mmqa_lab.cloud import ON_BORDER, cells_of, sort_into_cells, unit_remarks
 from mmqa_lab.io import LAS_ENDINGS, iterate_cloud, write_atomically
 from mmqa_lab.planes import CONSISTENT_SCALE
 from mmqa_lab.spacing import STEPS, quadrant_distances
@@ -92,7 +92,7 @@ def map_cloud(points: ArrayLike, *, cell: float = 0.5, radius: float = 0.5) -> x
     cell : float
         Side of the square cells, m. The borders lie at multiples of the side.
     radius : float
-        Largest distance of a neighbour in plan, m.
+        Largest distance of a neighbour in plan, m; one at this distance counts.
 
     Returns
     -------
@@ -148,7 +148,7 @@ def _evaluated(points, index, inner, cell, radius):
     order, starts, cells = sort_into_cells(index[inner], 1)
     starts, counts = starts[:-1], np.diff(starts)
     group = np.repeat(np.arange(len(cells)), counts)
-    rows = np.flatnonzero(inner)[order]
+    rows, radius = np.flatnonzero(inner)[order], radius * (1 + ON_BORDER)
     local = points[:, :2] - cells[0] * cell
     distances = quadrant_distances(local, radius=radius, of=inner)
     distances, own = (np.take(one, rows, axis=0).T.copy() for one in (distances, points))
@@ -298,12 +298,17 @@ def map_campaign(
     except OSError as error:
         raise OSError(f"Invalid folder {own}: {error.strerror}. Must be writable.") from error
     try:
-        tasks = [(own, file, cell, tile) for file in files]
-        slices, found = _joined(_computed(_sort_file, tasks, "files", client), run)
+        tasks = [(own, file, cell, tile, bool(kept)) for file in files]
+        with warnings.catch_warnings(record=True) as said:  # by threads of this process
+            warnings.simplefilter("always")
+            sorted_files = _computed(_sort_file, tasks, "files", client)
+        slices, found = _joined(sorted_files, run, [str(one.message) for one in said])
     except ValueError:
         _remove_working_files(own)
         raise
     if not kept:
+        for sentence in found["remarks"]:
+            warnings.warn(sentence, stacklevel=2)
         kept = run | found
         write_atomically(own / "run.json", json.dumps(kept, indent=1))
     tasks = [(own, place, _near(slices, place, kept), kept) for place in _missing(own, kept)]
@@ -367,15 +372,18 @@ def _remove_working_files(own):
             left.unlink(missing_ok=True)
 
 
-def _sort_file(own, file, cell, tile):
-    """Write the points of a file sorted into tiles, once; return what was found in it."""
+def _sort_file(own, file, cell, tile, again):
+    """Write the points of a file sorted into tiles; return what was found in it.
+
+    Another time what is there is taken: the record has the remarks of the first time.
+    """
     key = _key(file, cell, tile)
     index = own / f"{key}{WORKING}"
-    if index.is_file():
+    if again and index.is_file():
         return json.loads(index.read_text(encoding="utf-8"))
     found = {"path": file[0], "n": 0, "crs": None, "step": 0.0, "slices": []}
     ends, total = [], np.zeros(3)
-    remote = multiprocessing.parent_process() is not None  # nobody would read what is said here
+    remote = multiprocessing.parent_process() is not None  # what is said here, nobody reads
     with warnings.catch_warnings(record=True) if remote else nullcontext([]) as said:
         for number, part in enumerate(iterate_cloud(file[0], columns=())):
             if not len(part):
@@ -399,13 +407,12 @@ def _sort_file(own, file, cell, tile):
     return found
 
 
-def _joined(files, run):
+def _joined(files, run, said):
     """The slices of all files, and what the record says of them."""
     import pyproj
 
-    for sentence in (sentence for file in files for sentence in file["said"]):
-        warnings.warn(sentence, stacklevel=3)
-    counted, remarks, without, crs = [], [], [], None
+    counted, without, crs = [], [], None
+    remarks = list(dict.fromkeys([*said, *(text for file in files for text in file["said"])]))
     for file in (one for one in files if one["n"]):
         same = next((one["path"] for one in counted if _has_same_points(one, file)), None)
         if same is not None:
@@ -421,7 +428,7 @@ def _joined(files, run):
         raise ValueError(f"Invalid clouds {listed}: no point. Must have one.")
     if crs is not None and without:
         listed = ", ".join(without)
-        warnings.warn(f"No coordinate system in {listed}: taken for {crs.name}.", stacklevel=3)
+        remarks.append(f"No coordinate system in {listed}: taken for {crs.name}.")
     _check_extent([end for file in counted for end in file["about"][:2]], run["cell"])
     slices = pd.DataFrame(
         [row for file in counted for row in file["slices"]],

@@ -306,6 +306,22 @@ def test_remarks_tell_of_pairs_steps_units_and_coincident_points():
     assert "Coordinates look like degrees" in with_unit
 
 
+@pytest.mark.filterwarnings("ignore")
+def test_points_that_are_left_out_or_counted_are_said_in_every_run(tmp_path, capsys):
+    from mmqa_lab.commands import run
+
+    columns = {"return_number": np.tile([1, 2], 3000), "number_of_returns": np.full(6000, 2)}
+    columns |= {"classification": np.where(np.arange(6000) < 300, 7, 0)}
+    io.write_cloud(tmp_path / "a.laz", Cloud(street(), columns))
+    io.write_cloud(tmp_path / "b.laz", Cloud(street() + [9, 0, 0], columns))
+    for _ in range(2):
+        words = [str(tmp_path / "a.laz"), str(tmp_path / "b.laz"), "--out", str(tmp_path / "m.nc")]
+        assert run(["map", *words]) == 0
+        said = " ".join(capsys.readouterr().out.split())
+        assert said.count("Dropped 300 of 6000 points") == 2
+        assert said.count("later returns of their pulses") == 2
+
+
 def test_a_map_with_missing_tiles_says_so(campaign, monkeypatch):
     monkeypatch.setattr(maps, "ENOUGH", 1)
     paths, folder = campaign

@@ -152,7 +152,8 @@ def map_(
     from mmqa_lab import maps
 
     check_ending(out, "map", maps.ENDINGS)
-    folder = maps.map_campaign(clouds, out.with_suffix(".run"), cell=cell)
+    with warnings.catch_warnings(action="ignore"):  # the map has them as remarks
+        folder = maps.map_campaign(clouds, out.with_suffix(".run"), cell=cell)
     dataset = maps.open_map(folder)
     maps.write_map(out, dataset)
     return maps.summarise(dataset).assign(remarks=dataset.attrs["remarks"])
