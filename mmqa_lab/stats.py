@@ -21,6 +21,20 @@ CONSISTENT_SCALE = 1.482602218505602
 """1 / Phi^-1(3/4): the standard deviation of normal errors over their median absolute deviation."""
 
 
+__all__ = [
+    "Errors",
+    "Interval",
+    "Rate",
+    "blocks",
+    "bootstrap",
+    "errors",
+    "mean_reach",
+    "median_interval",
+    "median_ratio_interval",
+    "waves",
+    "wilson",
+]
+
 HALF_WAVES = np.arange(3, 11)
 """Numbers of half waves over the points, for the errors that neighbours share. A single one would
 count a trend as an error. Odd numbers alone are zero in the middle, even ones alone between there

@@ -45,6 +45,24 @@ from mmqa_lab.scan_pattern.mimic import LEVEL, target_normal
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+__all__ = [
+    "QUANTITIES",
+    "Lattice",
+    "Patch",
+    "ScanSetup",
+    "Target",
+    "detail_size",
+    "explain_error",
+    "largest_speed",
+    "lattice_distances",
+    "measure_pattern",
+    "mimic",
+    "propagate",
+    "revolutions_from_time",
+    "scan_lattice",
+    "speeds",
+]
+
 # Quantities that have derivatives; d1, d4 and f jump from lattice point to lattice point.
 SMOOTH = (*MEASURED, "density_per_m2")
 QUANTITIES = (*SMOOTH, "d1_mm", "d4_mm", "f")

@@ -20,6 +20,14 @@ from mmqa_lab._results import Shown
 from mmqa_lab.planes import TUKEY, fit_plane, sigma_mad
 from mmqa_lab.scan_pattern.mimic import LEVEL
 
+__all__ = [
+    "PatternMeasurement",
+    "measure_pattern",
+    "mirror_frequency",
+    "pulse_period",
+    "revolutions_from_time",
+]
+
 PAUSE = 20  # longer pauses, in typical time steps, separate runs of points
 FEW = 16  # number of runs whose beginnings are compared for the period
 OFF_LINE = 4.0  # points farther off their profile, in robust standard deviations, are left out
