@@ -29,6 +29,7 @@ from mmqa_lab._checks import (
     check_points,
     check_positive,
     check_same_crs,
+    check_upright,
 )
 from mmqa_lab.chart_cloud import COARSE_MM, PAIRS
 from mmqa_lab.cloud import ON_BORDER, cells_of, sort_into_cells, unit_remarks
@@ -422,6 +423,7 @@ def _joined(files, run, said):
         own = None if file["crs"] is None else pyproj.CRS(file["crs"])
         crs = crs or own
         check_same_crs(file["path"], own, "first cloud", crs)
+        check_upright(file["path"], own)
         without += [file["path"]] * (own is None)
     if not counted:
         listed = ", ".join(file["path"] for file in files)

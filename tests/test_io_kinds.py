@@ -1,7 +1,10 @@
 """Files as other programs write them: the same cloud in another form, or one sentence."""
 
 import json
+import os
 import re
+import subprocess
+import sys
 import warnings
 
 import cv2
@@ -684,9 +687,22 @@ def test_info_describes_whatever_is_in_a_folder(tmp_path, capfd):
     assert "Must be one of" in rows["notes.md"]["remarks"]
 
 
-@pytest.mark.parametrize("words", ["poles", "accuracy"])
+@pytest.mark.parametrize("words", ["poles", "accuracy", "map"])
 def test_geocentric_clouds_have_no_heights(tmp_path, capfd, words):
     path = str(tmp_path / "g.laz")
     io.write_cloud(path, Cloud(PLANE + FAR, crs=pyproj.CRS("EPSG:4978")))
-    assert main([words, path, *([path] if words == "accuracy" else [])]) == 2
+    more = {"accuracy": [path], "map": ["--out", str(tmp_path / "m.nc")]}.get(words, [])
+    assert main([words, path, *more]) == 2
     assert "Must have z upwards" in capfd.readouterr().err
+
+
+def test_letters_that_a_terminal_lacks_and_no_output_at_all(tmp_path):
+    las(tmp_path / "größe.las")
+    line = f"{sys.executable} -m mmqa_lab info größe.las"
+    for more, text in (("", "gr??e.las"), (">&-", "")):
+        done = subprocess.run(
+            f"{line} {more}", shell=True, cwd=tmp_path, capture_output=True, text=True,
+            env={**os.environ, "PYTHONIOENCODING": "ascii"},
+        )  # fmt: skip
+        assert (done.returncode, done.stderr) == (0, "")
+        assert text in done.stdout

@@ -116,10 +116,13 @@ def run(arguments):
     """Run a command line and return its exit status."""
     words = list(arguments)
     name = words[0] if words and not words[0].startswith("-") else ""
+    for stream in (sys.stdout, sys.stderr):  # what it cannot write, as an umlaut, becomes ?
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")
     warnings.showwarning = lambda message, *_, **__: _say(name, message)
     try:
         status = app(words, exit_on_error=False, print_error=False, result_action="return_value")
-        sys.stdout.flush()
+        print(end="", flush=True)  # nothing where there is no output, as in a service
         return status if isinstance(status, int) else 0
     except BrokenPipeError:  # as in: mmqa info *.laz | head
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
