@@ -143,9 +143,9 @@ def detect_planes(
     grid = Grid(points, size / CELLS_PER_SIZE)
     in_cell = _points_per_cell(grid.start)
     if in_cell < 1:  # surfaces are not connected
-        least = size / np.sqrt(in_cell)
         warnings.warn(
-            f"Too few points for planes of {size:g} m. Must have a size of {least:.2g} m or more.",
+            f"Few cells of {grid.edge:g} m have a second point. "
+            f"Planes of {size:g} m may be missing or cut into parts.",
             stacklevel=2,
         )
     minimum = int(np.clip(LEAST_AREA * CELLS_PER_SIZE**2 * in_cell, *FEWEST))

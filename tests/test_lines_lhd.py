@@ -323,3 +323,11 @@ def test_displaced_pairs_of_rows_of_windows_stand(seed, monkeypatch):
     table = lines.compare({"test": test, "model": model}, matcher="displaced")
     assert table["displaced_pairs"].tolist() == [found.test_model.n] * 2
     assert called == [1]
+
+
+def test_many_weak_pairs_are_no_displacement():
+    """Equal windows pair by chance a third of the lines, each pair badly."""
+    test, model, _, _ = window_rows.scene(304, share=0.3, length=25.0, drift=0.2)
+    assert np.isnan(match_displaced(test + [0, 7.0, 5.0], model).vector).all()
+    with pytest.warns(UserWarning, match="No displacement unites more lines"):
+        assert lhd(test + [0, 7.0, 5.0], model, matcher="displaced").matcher == "fragments"

@@ -317,7 +317,7 @@ def lhd(
         pairs = check_pairs(pairs, (len(test), len(model)))
     elif matcher == "displaced":
         pairs = match_displaced(test, model, radius=radius).pairs
-        if not pairs.any():
+        if pairs.size and not pairs.any():
             pairs, matcher = None, "fragments"
     there = one_way(test, model, matcher=matcher, pairs=pairs)
     back = one_way(model, test, matcher=matcher, pairs=None if pairs is None else pairs.T)

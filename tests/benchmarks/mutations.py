@@ -63,6 +63,8 @@ FAULTS = (
      "test_scan_pattern_measured.py"),
     ("scan_pattern", "share < 1 - CROSSED", "False", "test_scan_pattern_measured.py"),
     ("lines", "sqrt(weight * self.angle**2", "sqrt(weight * self.angle", "test_lines_lhd.py"),
+    ("lines", "if pairs.size and not pairs.any()", "if pairs.sum() < 200", "test_lines_lhd.py"),
+    ("lines", "by_chance or pairs", "pairs", "test_lines_lhd.py"),
     ("lines", "np.fmax(*(side.perp", "np.fmin(*(side.perp",
      "test_lines_lhd.py"),
     ("tender", "sign * (rank - limit)", "sign * (limit - rank)", "test_tender.py"),
