@@ -172,12 +172,13 @@ def components(
 def _parts(test, model, rotate, within):
     """d_theta, d_par, d_perp and s of a block of test segments (midpoint, direction, length)."""
     (middle_t, way_t, length_t), (middle_m, way_m, length_m) = test, model
-    angle = np.minimum(length_t, length_m) * np.linalg.norm(np.cross(way_t, way_m), axis=-1)
-    stays = ((rotate == "shorter") & (length_m < length_t))[..., None]
-    axis = np.where(stays, way_t, way_m)
-    apart = middle_t - middle_m
-    s = (apart * axis).sum(axis=-1)
+    # x, y and z first: arrays of whole coordinates are several times as fast
+    t, m, apart = (np.moveaxis(part, -1, 0) for part in (way_t, way_m[None], middle_t - middle_m))
+    cross = [t[i] * m[j] - t[j] * m[i] for i, j in ((1, 2), (2, 0), (0, 1))]
+    angle = np.minimum(length_t, length_m) * np.sqrt(sum(part**2 for part in cross))
+    axis = np.where(length_m < length_t, t, m) if rotate == "shorter" else m
+    s = sum(apart * axis)
     parallel = np.maximum(0, np.abs(s) - np.abs(length_t - length_m) / 2)
     if within == "overlap":
         parallel[np.abs(s) < (length_t + length_m) / 2] = 0
-    return np.stack([angle, parallel, np.linalg.norm(apart - s[..., None] * axis, axis=-1), s])
+    return np.stack([angle, parallel, np.sqrt(sum((apart - s * axis) ** 2)), s])
