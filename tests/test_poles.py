@@ -132,7 +132,7 @@ def test_explain_names_the_test_that_rejected_and_adds_up(rng):
     cloud = scene(post(0, 0), post(3, 0, height=0.7, line=200), wall(-4, 4, -3, line=400), rng=rng)
     table = poles.detect(cloud, explain=True)
     assert (table["rejected_by"] == "").sum() == 1
-    assert set(table["rejected_by"]) <= {"", "score", "length", "duplicate"}
+    assert set(table["rejected_by"]) <= {"", "score", "length", "tilt", "duplicate"}
     trees = learned.shipped()
     parts = table[[f"adds_{name}" for name in learned.MEASURES]].sum(axis=1)
     odds = parts + trees.parts(table[list(learned.MEASURES)])[1]

@@ -20,8 +20,9 @@ __all__ = ["example", "lessons", "yard"]
 EXAMPLES = (*range(105), *range(105, 216, 3))
 """Numbers of the examples: 70 streets, and 72 yards, whose numbers are multiples of 3."""
 
-FIRST_SEED, SHARES = 9_500_000, (0.8, 1.0, 1.0)
-"""Seeds of tests and studies are smaller. Weights of a yard and of the two streets after it."""
+FIRST_SEED, SHARES, POLES = 9_500_000, (0.8, 1.0, 1.0), (2.5, 7.5, 7.5)
+"""Seeds of tests and studies are smaller. Weights of a yard and of the two streets after it, and of
+their poles beside other candidates."""
 
 BEAMS = {"elevations_deg": tuple(np.linspace(-25, 15, 64)), "pulse_rate_hz": 640_000}
 HEADS = {
@@ -255,7 +256,11 @@ def example(number):
 
 def lessons(numbers):
     """Return the training data of examples: measures, labels and weights."""
-    parts = [learned.lessons(*view, weight=SHARES[k % 3]) for k in numbers for view in example(k)]
+    parts = [
+        learned.lessons(*view, weight=SHARES[k % 3], poles=POLES[k % 3])
+        for k in numbers
+        for view in example(k)
+    ]
     return [pd.concat(column) for column in zip(*parts, strict=True)]
 
 
