@@ -12,7 +12,7 @@ RISES = (0.0, 0.08, 0.2)
 
 
 def make(seed, length=45.0):
-    """A street with ten poles or so on each side, and with what is none in ``columns``."""
+    """A street with ten poles or so on each side, and what is none: ``columns``, ``pillars``."""
     rng = np.random.default_rng([seed, 91])
     street = other_street.OtherStreet(length, slope=RISES[seed % len(RISES)])
     low = -60 * street.slope
@@ -89,7 +89,7 @@ def _gate(street, rng, foot, side):
     for along in (0, gap):
         at = _up(street, foot, along)
         street.block(at - [0.2, 0.2, 0.3], at + [0.2, 0.2, 2.0])
-        street.columns.append(at)
+        street.pillars.append(at)
     if rng.random() < 0.6:
         rise = [0, gap, street.slope * gap]
         street.face(_up(street, foot, 0, 0.1), rise, (0, 0, 1.5))
@@ -137,9 +137,9 @@ def _terrace(street, rng, foot, side):
     return long + 1
 
 
-def looked_at(seed, scanner):
+def looked_at(seed, scanner, length=45.0):
     """Points, times, lines, poles as a table (visible with 15 points), path and the street."""
-    street = make(seed)
+    street = make(seed, length)
     points, time, line, pole, path = other_street.scan(street, scanner, seed)
     truth, _ = other_street.tables(street, pole)
     return points, time, line, truth.assign(visible=truth["points"] >= 15), path, street

@@ -32,6 +32,7 @@ class OtherStreet:
     balls: list = field(default_factory=list)  # centre, radius, leaves met on a metre
     poles: list = field(default_factory=list)
     columns: list = field(default_factory=list)  # feet of porches' columns
+    pillars: list = field(default_factory=list)  # feet of gates' pillars
     edges: list = field(default_factory=list)
 
     def cylinder(self, a, b, radius, pole=-1):

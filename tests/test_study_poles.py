@@ -1,5 +1,6 @@
 """The study: what its streets are, what it counts, what it sets side by side, its checks."""
 
+import gated_street
 import numpy as np
 import other_street
 import pandas as pd
@@ -161,6 +162,16 @@ def test_rates_on_streets_of_another_generator(scanner):
     found = poles.detect(Cloud(points, {"scan_line": line, "gps_time": time}))
     # 12 poles: loose on purpose, the benchmark measures
     assert poles.score(found, truth, corridor=30, trajectory=path).f1 > 0.75
+
+
+def test_pillars_of_gates_are_no_poles():
+    points, _, _, truth, path, street = gated_street.looked_at(954, "tilted profiler", 30.0)
+    found = poles.detect(points)
+    # 10 poles: loose on purpose, the benchmark measures
+    assert poles.score(found, truth, corridor=30, trajectory=path).recall.value > 0.85
+    pillars = pd.DataFrame(np.array(street.pillars)[:, :2], columns=["x_m", "y_m"])
+    assert len(pillars) >= 4
+    assert poles.score(found, pillars).recall.k <= 1
 
 
 def test_a_small_training_reproduces_itself():

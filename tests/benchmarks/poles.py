@@ -26,6 +26,7 @@ from mmqa_lab.simulate.systems import PRESETS
 from mmqa_lab.studies import poles as study
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+import gated_street
 import other_street
 from results import write_section
 
@@ -122,9 +123,19 @@ def rated(count):
         yield "other streets, porches", scored(found, targets, trajectory=path)
         columns = pd.DataFrame(np.array(made.columns)[:, :2], columns=["x_m", "y_m"])
         yield "their columns found as poles", poles.score(found, columns)
+    for number, name in enumerate(("tilted profiler", "32 beams", "64 beams")):
+        for seed in range(971 + 10 * number, 975 + 10 * number)[:count]:
+            points, *_, targets, path, made = gated_street.looked_at(seed, name)
+            found = poles.detect(points)
+            yield f"gates and wires, {name}", scored(found, targets, trajectory=path)
+            sure = found[found["score"] > 0.75]
+            yield f"gates and wires, {name}, 0.75", scored(sure, targets, trajectory=path)
+            feet = pd.DataFrame(np.array(made.pillars)[:, :2], columns=["x_m", "y_m"])
+            yield "their pillars found as poles", poles.score(found, feet)
     for name in SCANNERS:
         for kind in ("bare", *KINDS, *WALLS):
             cloud, truth = posts(kind, name, 8301)
+            truth["visible"] = truth["height_m"] >= learned.SLENDER * truth["diameter_base_m"]
             yield f"posts {kind}, {name}", poles.score(poles.detect(cloud), truth)
     if samples.has_real(study.OAKLAND[0]):
         cloud, references = study.oakland()
