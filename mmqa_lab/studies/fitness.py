@@ -110,13 +110,18 @@ def acquisitions(count, *, seed, limits=None):
 
 
 def heads(case, rng):
-    """Return the scanners of an acquisition; the second of two is turned against the first."""
+    """Return the scanners of an acquisition.
+
+    The second of two has the opposite heading, by chance also the opposite tilt, which crosses the
+    lines on walls, and is turned against the first by ``BORESIGHT_DEG``.
+    """
     names = "heading_deg", "tilt_deg", "pulse_rate_hz", "mirror_frequency_hz"
     choices = {name: case[name] for name in names} | {"range_noise_m": case["noise_mm"] / 1000}
     if case["kind"] == "32 beams":
         return [replace(PRESETS["hdl-32e"], **choices)]
     first, boresight = Scanner(**choices), tuple(BORESIGHT_DEG * rng.standard_normal(3))
-    second = replace(first, heading_deg=-first.heading_deg, boresight_deg=boresight)
+    mounted = {"heading_deg": -first.heading_deg, "tilt_deg": rng.choice([-1, 1]) * first.tilt_deg}
+    second = replace(first, boresight_deg=boresight, **mounted)
     return [first, second] if case["kind"] == "two heads" else [first]
 
 
@@ -167,8 +172,8 @@ def drive(case, rng):
 def detail_missed_percent(xy, size_m=0.05, fewest=3):
     """Return the share of places of a board whose disc has fewer points than ``fewest``, percent.
 
-    ``xy`` has the shape (n, 2), m, from the middle of a board of 1 m; discs are ``size_m`` wide. The
-    2000 places follow no grid, with which regular points would agree.
+    ``xy`` has the shape (n, 2), m, from the middle of a board of 1 m; discs are ``size_m`` wide.
+    The 2000 places follow no grid, with which regular points would agree.
     """
     places = np.outer(np.arange(2000), (0.7548776662, 0.5698402910)) % 1 * 0.9 - 0.45
     far = cKDTree(xy).query(places, k=[fewest])[0] if len(xy) else np.inf
@@ -298,7 +303,7 @@ def written(figures):
     }
 
 
-def bench(*, methods=None, count=30, draws=(1, 2), seed=1000):
+def bench(*, methods=None, count=30, draws=(3, 4), seed=1000):
     """Define the study's bench: figures of charts, and the tasks of the same acquisitions.
 
     Parameters
@@ -408,9 +413,9 @@ def rules(figures, errors, first, *, good=GOOD, resamples=1000):
     DataFrame
         ``task``, ``rule``, ``limits`` (of its figures), ``chosen`` (balanced accuracy where
         thresholds were chosen), ``balanced`` and its 95 % interval ``low``, ``high``; the same of
-        its gain over the first figure (the density) alone: ``gain``, ``gain_low``, ``gain_high``; ``right`` (share),
-        ``n`` and ``fit`` (number of fit clouds) where it was scored. Tasks with fewer than ``FEW``
-        fit or unfit clouds in either part are left out.
+        its gain over the first figure (the density) alone: ``gain``, ``gain_low``, ``gain_high``;
+        ``right`` (share), ``n`` and ``fit`` (number of fit clouds) where it was scored. Tasks with
+        fewer than ``FEW`` fit or unfit clouds in either part are left out.
     """
     base, *others = figures
     names = [*((name,) for name in figures), *((base, name) for name in others)]

@@ -126,7 +126,7 @@ METHODS = {
 line pairs, mm; the period with half of its contrast left, mm; noise as a share of the contrast."""
 
 
-def bench(*, methods=None, count=40, draws=(1, 2), seed=1000):
+def bench(*, methods=None, count=40, draws=(3, 4), seed=1000):
     """Define the comparison of figures of photographs; see :func:`fitness.bench`."""
     drawn = [acquisitions(count, seed=draw, limits=PHOTOGRAPHS) for draw in draws]
     cases = pd.concat(drawn, ignore_index=True)
