@@ -50,12 +50,14 @@ def test_a_random_cloud_is_exempt_once_it_is_dense():
 
 def test_each_check_can_fail():
     ranks = pd.DataFrame({"spearman": [0.8, 0.4], "behind_low": [0.0, 0.1]}, ["g", "f"])
-    gain = pd.DataFrame({"difference": 0.3, "low": 0.2}, ["f < 2 or exempt", "g < 2 or exempt"])
+    rules = ["e95 ≤ √(1/ρ0)", "g < 2", "f < 2 or exempt", "g < 2 or exempt"]
+    ends = {"low": [0.8, 0.4, 0.8, 0.4], "high": [0.9, 0.5, 0.9, 0.5]}
+    of_5 = pd.DataFrame({"balanced": [0.85, 0.45, 0.85, 0.45]} | ends, rules)
     heads = pd.DataFrame({"f_smallest": [3.0, 2.9], "f_largest": [3.6, 3.0]})
     whole = {
         **{"worst": 1.2, "distinct": range(13), "repeats": 30, "uneven": 1.01, "pair": ranks},
         "noisy": pd.Series({0.0: 5.7, 45.0: 10.8}),
-        **{"gain": gain, "by_g": gain, "heads": heads},
+        **{"of_5": of_5, "heads": heads},
         "both": pd.Series({"f_smallest": 2.2, "f_largest": 2.2}),
     }
     assert spoiled("anisotropy", whole) == []
@@ -64,8 +66,8 @@ def test_each_check_can_fail():
         "f of noisy scan lines": {"noisy": pd.Series({0.0: 10.8, 45.0: 10.8})},
         "f does not see": {"uneven": 1.3},
         "g orders": {"pair": ranks[::-1]},
-        "With the exemption, f": {"gain": gain - 0.3},
-        "With the exemption, g": {"by_g": gain - 0.3},
+        "For details of 5 cm e95": {"of_5": of_5.assign(low=[0.4, 0.4, 0.8, 0.4])},
+        "For details of 5 cm f": {"of_5": of_5.assign(low=[0.8, 0.4, 0.4, 0.4])},
         "Two crossing": {"both": heads.iloc[0]},
     }
     for words, change in changes.items():

@@ -57,6 +57,12 @@ def test_details_between_lines_are_missed_as_derived(apart):
     assert abs(missed - 100 * (1 - 0.015 / apart)) < 3
 
 
+def test_places_of_details_cover_the_board():
+    left, right = lines(0.01), lines(0.01)
+    assert study.detail_missed_percent(left[left[:, 0] < 0]) == pytest.approx(47, abs=3)
+    assert study.detail_missed_percent(right[right[:, 0] > 0]) == pytest.approx(47, abs=3)
+
+
 @given(seed=st.integers(0, 50), density=st.integers(300, 4000))
 @settings(max_examples=10, deadline=None)
 def test_missed_details_are_those_of_the_empty_space_function(seed, density):
@@ -140,19 +146,20 @@ def test_rules_as_written_know_the_exemption():
     assert accepted["g < 2 or exempt"].tolist() == [True, False]
 
 
-def test_the_bench_takes_a_figure_of_ones_own():
+def test_the_bench_takes_a_figure_of_ones_own_and_one_that_is_unknown_is_the_worst():
     methods = {"density": study.METHODS["density"], "mine": lambda chart: chart.n}
-    bench = study.bench(methods=methods, count=1)
-    results = bench.run()
+    bench = study.bench(methods=methods | {"none": lambda chart: np.nan}, count=1)
+    with pytest.warns(UserWarning, match="none: 6 of 6 cells not measured"):
+        results = bench.run()
     tables = bench.tables(results)
     assert next(iter(tables)) == "tasks"
-    assert tables["tasks"]["method"].tolist() == ["density", "mine"]
+    assert tables["tasks"]["method"].tolist() == ["density", "mine", "none"]
     assert set(study.GOOD) <= set(tables["tasks"])
     figures, errors = study.measured(results)
     assert len(figures) == len(errors) == 6
-    assert (figures["density"] == 1000 / np.sqrt(2 * figures["mine"])).mean() == pytest.approx(
-        1, abs=1
-    )
+    assert np.isinf(figures["none"]).all()
+    points = 5e5 / figures["density"] ** 2  # the outline has half a square metre
+    assert points.to_numpy() == pytest.approx(figures["mine"].to_numpy(), rel=0.001)
 
 
 def photographed(pixel_mm, **others):

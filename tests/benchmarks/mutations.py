@@ -158,6 +158,11 @@ FAULTS = (
     ("cloud", "crowded and np.abs", "False and np.abs", "test_cloud_units.py"),
     ("cloud", "np.mean(alone) > 0.5", "False", "test_cloud_units.py"),
     ("cloud", "if isinstance(which, tuple) or", "if", "test_cloud_units.py"),
+    ("studies", "first & known, ~first & known", "first & known, first & known",
+     "test_study_fitness.py"),
+    ("studies", "counts.min() < counts.max() / 10", "False", "test_study_fitness.py"),
+    ("studies", '.fillna(np.inf)', "", "test_study_fitness.py"),
+    ("studies", "% 1 * 0.9 - 0.45", "% 1 * 0.5 - 0.45", "test_study_fitness.py"),
 )  # fmt: skip
 
 
