@@ -1,5 +1,6 @@
 """Fit for what? Figures of a chart beside what can be done with a cloud of the same acquisition."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -477,7 +478,8 @@ def road_squares():
     """
     if not samples.has_real(ROAD):
         return None, None
-    cloud = io.read_cloud(samples.real_path(ROAD), columns=["gps_time"])
+    with warnings.catch_warnings(action="ignore", category=UserWarning):  # of later returns
+        cloud = io.read_cloud(samples.real_path(ROAD), columns=["gps_time"])
     times = np.sort(cloud["gps_time"])
     second = cloud["gps_time"] > times[np.argmax(np.diff(times))]
     points = cloud.points - np.floor(cloud.points.min(axis=0))
