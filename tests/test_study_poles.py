@@ -164,6 +164,15 @@ def test_rates_on_streets_of_another_generator(scanner):
     assert poles.score(found, truth, corridor=30, trajectory=path).f1 > 0.75
 
 
+def test_paired_differences_are_those_of_mcnemar():
+    truth = pd.DataFrame({"x_m": 5.0 * np.arange(40), "y_m": 0.0})
+    one, other = (poles.score(truth.iloc[rows], truth) for rows in (range(24), range(24, 40)))
+    said = study.paired(one, other)
+    assert (said["only_one"], said["only_other"]) == (24, 16)
+    assert said["p"] == pytest.approx(0.268, abs=0.001)  # of 40 fair coins 24 heads or more, twice
+    assert study.paired(one, one) == {"only_one": 0, "only_other": 0, "p": 1.0}
+
+
 def test_pillars_of_gates_are_no_poles():
     points, _, _, truth, path, street = gated_street.looked_at(954, "tilted profiler", 30.0)
     found = poles.detect(points)

@@ -11,7 +11,7 @@ from functools import lru_cache, partial
 import numpy as np
 import pandas as pd
 from scipy.spatial import cKDTree
-from scipy.stats import siegelslopes
+from scipy.stats import binomtest, siegelslopes
 
 from mmqa_lab import io, poles, samples, stats
 from mmqa_lab.bench import Comparison, cell_table
@@ -211,6 +211,26 @@ def outcomes(result):
     found = {"hit": made[made["outcome"] == "hit"]}
     found["miss"] = targets[targets["target"] & ~targets["found"]]
     return found | {"false alarm": made[made["outcome"].isin(["false", "duplicate"])]}
+
+
+def paired(one, other):
+    """Return the targets that only one of two scores of the same references found, and p.
+
+    Parameters
+    ----------
+    one, other : Score
+
+    Returns
+    -------
+    dict
+        ``only_one``, ``only_other``; ``p``: how often such a difference or a larger one comes by
+        chance if both find alike (McNemar's exact test; 1 where they find the same).
+    """
+    target = one.targets["target"] & other.targets["target"]
+    first, second = (score.targets.loc[target, "found"] for score in (one, other))
+    only = int((first & ~second).sum()), int((second & ~first).sum())
+    p = binomtest(only[0], sum(only)).pvalue if sum(only) else 1.0
+    return {"only_one": only[0], "only_other": only[1], "p": float(p)}
 
 
 def crowded(result, cloud):
