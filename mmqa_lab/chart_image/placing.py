@@ -375,7 +375,8 @@ def _decoded(grey, markers):
         numbers = [] if numbers is None else np.ravel(numbers).tolist()
         found = [pair for pair in zip(numbers, places, strict=True) if pair[0] in markers]
         best = max(best, found, key=len)
-        if len(best) >= (3 if times < 1 else len(markers)):
+        # a fifth target is one of another chart, whose others are smaller
+        if len(best) > 2 if times < 1 else best and len(best) % len(markers) == 0:
             break
     return best
 
