@@ -4,9 +4,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pandas as pd
 import pytest
 
 from mmqa_lab import chart_image, charts, io, samples
+from mmqa_lab.commands import surveys
 from mmqa_lab.simulate import cameras
 
 CHART = charts.imaging_chart()
@@ -98,3 +100,52 @@ def test_photographs_without_a_chart_get_a_sentence(file):
         chart_image.evaluate_file(file, CHART)
     with pytest.raises(ValueError, match="is the chart there"):
         chart_image.evaluate_file(file, CHART, corners=box)
+
+
+def test_the_sample_photograph_is_measured_as_its_truth_says():
+    truth = pd.read_csv(samples.FOLDER / "chart_photo_truth.csv", index_col="quantity")["value"]
+    row = chart_image.evaluate_file(samples.path("chart_photo"), CHART).to_frame().iloc[0]
+    for direction in "hv":
+        pixel, w = f"pixel_{direction}_mm", f"w_{direction}_mm"
+        assert row[pixel] == pytest.approx(truth[pixel], rel=1e-3)
+        assert row[f"w_{direction}_next_mm"] <= truth[w] <= row[w]  # never finer than the truth
+    assert not row["remark"]
+
+
+def test_a_chart_printed_too_small_is_measured_with_its_own_length():
+    file = samples.path("chart_photo")
+    full, small = (
+        chart_image.evaluate_file(file, CHART.printed(length)).to_frame().iloc[0]
+        for length in (800.0, 792.0)
+    )
+    for name in ("pixel_h_mm", "pixel_v_mm", "w_h_mm", "w_v_mm"):
+        assert small[name] == pytest.approx(0.99 * full[name], rel=1e-3)
+    with pytest.raises(ValueError, match=r"printed_mm 79.85\. Must be between 100 and 2000 mm"):
+        CHART.printed(79.85)
+
+
+def test_photographs_without_a_chart_cost_the_others_nothing(tmp_path):
+    wall = tmp_path / "wall.png"
+    cv2.imwrite(str(wall), np.random.default_rng(0).integers(0, 255, (200, 300), dtype=np.uint8))
+    rows = surveys.image([wall, samples.path("chart_photo"), tmp_path / "none.jpg"])
+    assert rows["file"].tolist() == ["wall.png", "chart_photo.jpg", "none.jpg"]
+    assert rows["pixel_v_mm"].notna().tolist() == [False, True, False]
+    assert "long bars found" in rows["remark"][0]
+    with pytest.raises(ValueError, match=r"wall\.png: .* long bars found"):
+        surveys.image([wall, wall])
+
+
+@pytest.mark.parametrize("size", [(5500, 5000), (7200, 6000)])
+def test_targets_and_bars_are_found_in_large_photographs_made_smaller(size):
+    small = cv2.imread(str(samples.path("chart_photo")), cv2.IMREAD_GRAYSCALE)
+    large = np.full(size[::-1], 110, np.uint8)
+    part = cv2.resize(small, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
+    large[900 : 900 + len(part), 2000 : 2000 + part.shape[1]] = part
+    there = chart_image.locate(large, CHART)
+    assert there.pixel_sizes_mm([[500, 500]]) == pytest.approx(np.array([[1.65, 1.60]]), rel=0.02)
+
+
+def test_a_mirrored_chart_is_refused():
+    image = cv2.imread(str(samples.path("chart_photo")), cv2.IMREAD_GRAYSCALE)
+    with pytest.raises(ValueError, match=r"coded targets and no long bars|not mirrored"):
+        chart_image.evaluate_image(image / 255, CHART, chart_image.locate(image[:, ::-1], CHART))

@@ -112,6 +112,14 @@ def test_pdf_is_one_page_at_true_size_whatever_the_style():
     assert CHART.to_pdf() == pdf
 
 
+def test_notes_are_a_second_page_and_the_first_stays_true_to_size():
+    pdf = CHART.to_pdf(notes=charts.how_to_use())
+    boxes = re.findall(rb"/MediaBox \[ ?([^\]]+)\]", pdf)
+    side = 1000 * 72 / 25.4
+    assert [float(one) for one in boxes[0].split()] == pytest.approx([0, 0, side, side], abs=0.01)
+    assert len(re.findall(rb"/Type /Page\b(?!s)", pdf)) == 2
+
+
 def page_of(pdf):
     """What the page of a PDF shows: colour and rings (mm) of each filled path; its size in mm."""
     mm = 25.4 / 72

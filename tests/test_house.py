@@ -89,10 +89,8 @@ def test_catalogue_and_notebooks_agree():
 
 
 def test_samples_are_registered_with_hash_and_licence():
-    present = {path.name for path in samples.FOLDER.iterdir() if path.suffix == ".laz"}
-    assert present == {
-        sample.file for sample in samples.SAMPLES.values() if sample.file.endswith(".laz")
-    }
+    present = {path.name for path in samples.FOLDER.iterdir() if path.suffix in (".laz", ".jpg")}
+    assert present == {sample.file for sample in samples.SAMPLES.values()}
     readme = (samples.FOLDER / "README.md").read_text(encoding="utf-8")
     for sample in samples.SAMPLES.values():
         content = (samples.FOLDER / sample.file).read_bytes()

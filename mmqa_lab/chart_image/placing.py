@@ -335,37 +335,37 @@ def locate(
         return ChartMap.from_points(layout.corners(), corners, source="corners", **bent)
     grey = _stretched(image)
     markers = {marker.identifier: marker for marker in layout.of_kind(Marker)}
-    found = _decoded(grey, markers) if markers else []
-    groups = _by_chart(found, markers, layout)
-    if groups and len(groups[0]) > 2:
-        # OpenCV counts from the upper left corner, clockwise
-        places = np.concatenate([markers[key].corners()[::-1] for key, _ in groups[0]])
-        seen = np.concatenate([corners for _, corners in groups[0]])
-        source = f"{len(groups[0])} coded targets"
-        chart_map = ChartMap.from_points(places, seen, source=source, **bent)
-        return replace(chart_map, charts=sum(len(group) > 1 for group in groups))
-    chart_map = _by_bars(grey, layout)
-    if chart_map is None:
-        raise ValueError(
-            f"Invalid image: {len(found)} of {len(markers)} coded targets and no long bars found. "
-            "Must show the whole chart, not cut by the border, or its corners must be given."
-        )
-    steps = np.linspace(0, 1, 5)
-    mesh = np.stack(np.meshgrid(steps * layout.width, steps * layout.height), -1).reshape(-1, 2)
-    by_bars = ChartMap.from_points(mesh, chart_map.pixels(mesh), source="long bars", **bent)
-    return replace(by_bars, charts=chart_map.charts)
+    shrunk = min((SHRUNK_PIXELS / grey.size) ** 0.5, 1)
+    for times in (shrunk, 1) if shrunk < 1 else (1,):
+        found = _decoded(grey, markers, times) if markers else []
+        groups = _by_chart(found, markers, layout)
+        if groups and len(groups[0]) > 2:
+            # OpenCV counts from the upper left corner, clockwise
+            places = np.concatenate([markers[key].corners()[::-1] for key, _ in groups[0]])
+            seen = np.concatenate([corners for _, corners in groups[0]])
+            source = f"{len(groups[0])} coded targets"
+            chart_map = ChartMap.from_points(places, seen, source=source, **bent)
+            return replace(chart_map, charts=sum(len(group) > 1 for group in groups))
+        chart_map = _by_bars(grey, layout, times) if times == shrunk else None
+        if chart_map is not None:
+            mesh = np.indices((5, 5)).reshape(2, -1).T / 4 * [layout.width, layout.height]
+            pixels = chart_map.pixels(mesh)
+            by_bars = ChartMap.from_points(mesh, pixels, source="long bars", **bent)
+            return replace(by_bars, charts=chart_map.charts)
+    raise ValueError(
+        f"Invalid image: {len(found)} of {len(markers)} coded targets and no long bars found. "
+        "Must show the whole chart, not cut by the border, or its corners must be given."
+    )
 
 
-def _decoded(grey, markers):
-    """Numbers and corners of the coded targets that are seen."""
+def _decoded(grey, markers, smaller):
+    """Numbers and corners of the coded targets that are seen in an image made smaller."""
     dictionary = next(iter(markers.values())).dictionary
     book = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
     settings = cv2.aruco.DetectorParameters()
     settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_CONTOUR
     best = []
-    shrunk = (SHRUNK_PIXELS / grey.size) ** 0.5
-    sizes = (1,) if shrunk > 1 else (shrunk, 1)
-    for times in ENLARGEMENTS if grey.size <= ENLARGED_PIXELS else sizes:
+    for times in ENLARGEMENTS if grey.size <= ENLARGED_PIXELS else (smaller,):
         way = cv2.INTER_CUBIC if times > 1 else cv2.INTER_AREA
         large = cv2.resize(grey, None, fx=times, fy=times, interpolation=way)
         # targets of less than 6 px a side cannot be decoded, their contours would cost time
@@ -373,10 +373,15 @@ def _decoded(grey, markers):
         corners, numbers, _ = cv2.aruco.ArucoDetector(book, settings).detectMarkers(large)
         places = [(seen.reshape(4, 2).astype(float) + 0.5) / times - 0.5 for seen in corners]
         numbers = [] if numbers is None else np.ravel(numbers).tolist()
-        found = [pair for pair in zip(numbers, places, strict=True) if pair[0] in markers]
+        # a mirrored square is none of the chart's targets
+        found = [
+            (number, seen)
+            for number, seen in zip(numbers, places, strict=True)
+            if number in markers and np.linalg.det(seen[1:3] - seen[:2]) > 0
+        ]
         best = max(best, found, key=len)
         # a fifth target is one of another chart, whose others are smaller
-        if len(best) > 2 if times < 1 else best and len(best) % len(markers) == 0:
+        if best and len(best) % len(markers) == 0:
             break
     return best
 
@@ -604,12 +609,12 @@ def _trusted(layout, pixel_mm, cell, shape):
     return trusted
 
 
-def _by_bars(grey, layout):
+def _by_bars(grey, layout, smaller):
     """The map of the likeliest chart by its long bars, or None."""
     bars = [bar for bar in layout.of_kind(Bar) if max(bar.width, bar.height) >= 400]
     found = []
     # sizes of the image, from the likeliest on
-    for factor in (1, 1 / 3, 1 / 9, 2):
+    for factor in (smaller, smaller / 3, smaller / 9, 2):
         if not factor * min(grey.shape) > 100 or (factor > 1 and grey.size > ENLARGED_PIXELS):
             continue
         way = cv2.INTER_AREA if factor < 1 else cv2.INTER_CUBIC

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     *("Bar", "Layout", "LinePairs", "Marker", "Text"),
-    *("decode", "encode", "imaging_chart", "layout_of", "point_chart", "reflectance"),
+    *("decode", "encode", "how_to_use", "imaging_chart", "layout_of", "point_chart", "reflectance"),
 ]
 __dir__ = __all__.copy
 
@@ -47,6 +47,12 @@ SIDE_MM, CELLS, BORDER_MM, SQUARE_MM = 1000.0, 100, 50.0, 200.0
 
 IMAGING = {"grey": "imaging.csv", "revised": "revised.csv"}
 """Tables of the imaging charts: with a grey lying bar, and as their authors advise."""
+
+BAR_MM = 800.0
+"""Standing bars of the imaging charts, mm."""
+
+LENGTHS = {"x", "y", "width", "height", "size", "pair", "length", "cap"}
+"""Fields of elements that are lengths."""
 
 TEXTS, COUNTS = ("name", "direction", "text", "font", "dictionary"), ("repeats", "identifier")
 """Fields of a table that hold text, and those that hold whole numbers."""
@@ -350,15 +356,34 @@ class Layout(_Rectangle):
         """Return the elements of a class, in their order."""
         return [element for element in self.elements if isinstance(element, kind)]
 
-    def to_pdf(self) -> bytes:
-        """Return the chart as a PDF of one page at true size; letters are outlines."""
-        return self._drawn("pdf", {"CreationDate": None, "Title": self.name})
+    def printed(self, standing_mm: float) -> Layout:
+        """Return the chart as a printer made it: its standing bars of 800 mm are this long.
+
+        Examples
+        --------
+        >>> round(imaging_chart().printed(798.4)["bar_left"].height, 6)
+        798.4
+        """
+        factor = check_number(standing_mm, "printed_mm", low=100, high=2000, unit="mm") / BAR_MM
+        elements = [
+            replace(one, **{k: factor * getattr(one, k) for k in LENGTHS & set(vars(one))})
+            for one in self.elements
+        ]
+        size = factor * self.width, factor * self.height
+        return Layout(self.name, *size, tuple(elements))
+
+    def to_pdf(self, *, notes: str = "") -> bytes:
+        """Return the chart as a PDF of one page at true size; letters are outlines.
+
+        Notes, if any, are a second page, A4.
+        """
+        return self._drawn("pdf", {"CreationDate": None, "Title": self.name}, notes)
 
     def to_svg(self) -> bytes:
         """Return the chart as SVG at true size, bytes; each element is a named group."""
         return self._drawn("svg", {"Date": None, "Title": self.name})
 
-    def _drawn(self, form, metadata):
+    def _drawn(self, form, metadata, notes=""):
         """The chart in a file format, at true size."""
         from matplotlib import style
         from matplotlib.figure import Figure
@@ -374,8 +399,34 @@ class Layout(_Rectangle):
                 for tone, outline in _shapes(element).items():
                     look = {"facecolor": _ink(tone), "lw": 0, "gid": element.name}
                     page.add_artist(PathPatch(outline, transform=place, **look))
-            page.savefig(stream, format=form, metadata=metadata)
+            if notes:
+                _save_with_notes(page, notes, stream, metadata)
+            else:
+                page.savefig(stream, format=form, metadata=metadata)
         return stream.getvalue()
+
+
+def _save_with_notes(page, notes, stream, metadata):
+    """Save a page as PDF with a second one of text."""
+    from matplotlib.backends.backend_pdf import PdfPages
+    from matplotlib.figure import Figure
+
+    second = Figure(figsize=(8.27, 11.69))
+    second.text(0.09, 0.95, notes, va="top", size=9.5, linespacing=1.45)
+    with PdfPages(stream, metadata=metadata) as file:
+        file.savefig(page)
+        file.savefig(second)
+
+
+def how_to_use() -> str:
+    """Return how the imaging chart is printed, checked, set up, photographed and measured.
+
+    Examples
+    --------
+    >>> "--printed-mm" in how_to_use()
+    True
+    """
+    return Path(__file__).with_name("use.txt").read_text(encoding="utf-8")
 
 
 def imaging_chart(which: str = "grey") -> Layout:

@@ -534,7 +534,8 @@ def chart(
 
     The imaging chart has long bars for the pixel size, line pairs for the resolution, texts and
     symbols for the legibility, and coded targets that place it. The point chart has random cells
-    (Pfeifer et al. 2021, doi 10.3390/rs13020237). Print without scaling.
+    (Pfeifer et al. 2021, doi 10.3390/rs13020237). Print without scaling. The second page of the
+    imaging chart's PDF says how to use it.
 
     Parameters
     ----------
@@ -554,7 +555,8 @@ def chart(
     ending = check_choice(out.suffix.lower(), "ending", (".pdf", ".svg"))
     points = chart == "points"
     layout = charts.point_chart(seed=seed) if points else charts.imaging_chart(chart)
-    content = layout.to_pdf() if ending == ".pdf" else layout.to_svg()
+    notes = "" if points else charts.how_to_use()
+    content = layout.to_pdf(notes=notes) if ending == ".pdf" else layout.to_svg()
     write_atomically(out, lambda path: path.write_bytes(content))
     size = {"width_mm": layout.width, "height_mm": layout.height}
     return pd.DataFrame([{"file": out.name, **size, "elements": len(layout.elements)}])
@@ -566,6 +568,7 @@ def image(
     /,
     *,
     chart: Literal["grey", "revised"] = "grey",
+    printed_mm: float = 800.0,
     corners: str | None = None,
     panorama: bool = False,
     linear: bool = False,
@@ -575,7 +578,7 @@ def image(
 
     The chart is found by its coded targets and long bars, or at its corners (Pfeifer et al. 2021,
     doi 10.3390/rs13020237). What cannot be measured is empty; the remark tells what speaks against
-    the figures.
+    the figures. A photograph that cannot be measured has a row with the reason alone.
 
     Parameters
     ----------
@@ -583,6 +586,8 @@ def image(
         Photographs: JPEG, PNG or TIFF.
     chart
         The chart that was printed.
+    printed_mm
+        Length of its standing bars by a rule, after printing.
     corners
         Corners of the chart in pixels, "X,Y; X,Y; X,Y; X,Y": lower left, lower right, upper right,
         upper left.
@@ -603,12 +608,19 @@ def image(
         "panorama": panorama,
         "gamma": "linear" if linear else "srgb",
     }
-    rows, layout = [], charts.imaging_chart(chart)
+    rows, layout, quality = [], charts.imaging_chart(chart).printed(printed_mm), None
     for file in progress(images, "image"):
-        quality = chart_image.evaluate_file(file, layout, **choices)
-        frame = quality.to_frame()
+        try:
+            quality = chart_image.evaluate_file(file, layout, **choices)
+            frame = quality.to_frame()
+        except (ValueError, OSError) as error:
+            if len(images) == 1:
+                raise
+            frame = pd.DataFrame([{"remark": str(error)}])
         frame.insert(0, "file", file.name)
         rows.append(frame)
+    if quality is None:
+        raise ValueError(f"Invalid images: {rows[0]['file'][0]}: {rows[0]['remark'][0]}")
     if out is not None:
         write_figure(out, lambda: _two_panels(quality))
     return pd.concat(rows, ignore_index=True)
