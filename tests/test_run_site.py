@@ -3,10 +3,12 @@
 import importlib
 import re
 
+import nbformat
 import pytest
 
 from mmqa_lab.__main__ import main
 from mmqa_lab.run.api import public_names
+from mmqa_lab.run.notebooks import execute
 from mmqa_lab.studies import STUDIES, TOOLS
 
 
@@ -40,3 +42,12 @@ def test_links_between_pages_of_a_site_resolve(site):
     for page in site.glob("*.html"):
         for link in re.findall(r'(?:href|src)="([^"#:]+)["#]', page.read_text(encoding="utf-8")):
             assert link in whole or (site / link).is_file(), f"{page.name}: {link}"
+
+
+def test_metric_cards_run_and_show_every_card(tmp_path):
+    cards = next(study for study in TOOLS if study.stem == "metric_cards")
+    notebook = nbformat.read(cards.path, as_version=4)
+    assert execute(notebook, cards.path.parent, results=tmp_path) == ""
+    names = [cell.source.split("\n")[0] for cell in notebook.cells if cell.source.startswith("## ")]
+    figures = {"density", "sigma_MAD", "d1 to d4", "f", "g", "e95", "MTF50", "Siemens star"}
+    assert figures <= {name.removeprefix("## ") for name in names}

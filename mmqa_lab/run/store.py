@@ -25,6 +25,9 @@ WIDTH_PX, THUMBNAIL_PX = 1000, 280
 # File of the stored ledger, in the folder of the notebooks.
 LEDGER = "ledger.csv"
 
+# Figures of a chart against tasks, for the metric cards, in the folder of results.
+TASKS = "fitness/tasks_by_figures.csv"
+
 # The first figure of the README, in the folder of results.
 KEY_FIGURE = "anisotropy/patterns.png"
 
@@ -64,6 +67,8 @@ def store(notebooks, folder, studies):
             thumbnail = notebooks / "thumbnails" / f"{study.notebook}.png"
             _store_figure(folder / study.stem / f"{figure}.png", thumbnail, THUMBNAIL_PX)
     write_atomically(kept, pd.DataFrame(answers.items(), columns=["study", "answer"]))
+    if (folder / TASKS).is_file():
+        write_atomically(notebooks / Path(TASKS).name, pd.read_csv(folder / TASKS))
     if (folder / KEY_FIGURE).is_file():
         _store_figure(folder / KEY_FIGURE, notebooks / "key_figure.png", 1000)
         rows = collect(folder)
