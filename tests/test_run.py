@@ -111,6 +111,13 @@ def test_a_check_that_compares_with_print_reads_the_ledger(run):
         run.agrees("pfeifer2021 table_2 A 9 m d1")
 
 
+def test_latex_has_signs_that_its_fonts_have(run):
+    run.save_table(pd.DataFrame({"rule": ["f ≥ 2 → 3/m²"], "kind": ["predicted"]}), "rules")
+    text = (run.folder / "rules.tex").read_text(encoding="utf-8")
+    assert r"f $\geq$ 2 $\to$ 3/m$^2$" in text
+    assert text.isascii()
+
+
 def test_an_answer_is_made_of_values_that_a_paper_can_quote(run):
     run.save_answer(
         "At 5 m {speed_kmh:.0f} km/h.", figure="speeds", kind="predicted", speed_kmh=54.2

@@ -73,6 +73,8 @@ def test_notebook_runs_with_small_parameters(study, tmp_path):
     seen = json.loads((tmp_path / "overlaps.json").read_text())
     assert seen["found"] == {}
     assert {"explorer", *record["figures"]} == set(seen["seen"])
+    texts = [path.read_text(encoding="utf-8") for path in folder.glob("*.tex")]
+    assert not {sign for text in texts for sign in text if ord(sign) > 255}  # pdflatex has none
     answer = record["answer"]
     assert f"{answer['figure']}.png" in record["files"]
     assert record["figures"][answer["figure"]]

@@ -78,7 +78,7 @@ def detect(
     -----
     No score is a probability: it orders the detections. On streets with gates, wires and columns
     that no lesson had, 2 % of the finds with a score of ``learned`` from 0.5 to 0.7 were poles, 5 %
-    from 0.7 to 0.8, 47 % from 0.8 to 0.9, and 97 % above; on sparse real streets low scores are
+    from 0.7 to 0.8, 44 % from 0.8 to 0.9, and 98 % above; on sparse real streets low scores are
     poles more often. The score of ``fgi`` is the share of points in the inner cylinder, that of
     ``itc`` the share of pole-like slices.
 

@@ -35,6 +35,9 @@ UNFINISHED = "stopped before its end"
 # Most rows of a table that is also written for LaTeX.
 LONGEST_LATEX = 60
 
+# Signs that LaTeX's usual fonts lack.
+LATEX = str.maketrans({"≥": r"$\geq$", "≤": r"$\leq$", "−": "--", "→": r"$\to$", "²": "$^2$"})
+
 # Kinds of numbers. Published numbers are printed in a source. Predicted numbers follow from
 # specifications alone. Fitted numbers follow from parameters that were chosen to come close to
 # published ones. Measured numbers come from a real or simulated cloud or image.
@@ -112,7 +115,7 @@ class Run:
         if len(frame) <= LONGEST_LATEX:
             shown = frame.set_axis([heading(str(name)) for name in frame], axis=1)
             style = {"index": False, "escape": True, "na_rep": "--", "float_format": four_digits}
-            self._write(f"{name}.tex", shown.to_latex(**style))
+            self._write(f"{name}.tex", shown.to_latex(**style).translate(LATEX))
 
     def save_figure(
         self,
