@@ -36,7 +36,7 @@ UNFINISHED = "stopped before its end"
 LONGEST_LATEX = 60
 
 # Signs that LaTeX's usual fonts lack.
-LATEX = str.maketrans({"≥": r"$\geq$", "≤": r"$\leq$", "−": "--", "→": r"$\to$", "²": "$^2$"})
+LATEX = str.maketrans({"≥": r"$\geq$", "≤": r"$\leq$", "−": "--", "→": r"$\to$"})
 
 # Kinds of numbers. Published numbers are printed in a source. Predicted numbers follow from
 # specifications alone. Fitted numbers follow from parameters that were chosen to come close to
