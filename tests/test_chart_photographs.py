@@ -146,6 +146,8 @@ def test_what_is_hidden_is_said_and_moves_no_figure(name):
         size, sigma = quality.pixel_size(direction)
         assert abs(size - truth) < 2 * sigma  # the other bar alone is off by .6 % and more
         assert sigma < 0.01 * size
+        unseen = quality.sizes.query("direction == @direction")["pixel_mm"].isna().any()
+        assert not unseen or sigma * shot.length(bars[0]) > 0.5 * size  # half a pixel of the length
 
 
 @pytest.mark.parametrize("other_mm", [5.5, 12.0])
