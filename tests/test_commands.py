@@ -1,6 +1,7 @@
 """The command line: what is printed, written, refused; and that it starts on a bare Python."""
 
 import json
+import os
 import shlex
 import subprocess
 import sys
@@ -162,3 +163,73 @@ def test_help_and_preparing_need_the_standard_library_alone(tmp_path):
     assert shown.stdout.startswith("The manual of evaluate comes with the environment.")
     shown = subprocess.run([python, "-m", "mmqa_lab", "--help"], cwd=root, capture_output=True)
     assert b"mmqa COMMAND" in shown.stdout
+
+
+@pytest.mark.parametrize(
+    ("line", "name"),
+    [
+        ("evaluate BAD head.laz", "bad.xyz"),
+        ("pattern head.laz BAD", "bad.xyz"),
+        ("info BAD head.laz", "bad.xyz"),
+        ("radiometry sharpness BAD chart.png --linear", "bad.xyz"),
+        (IMAGE.replace("image", "image BAD"), "bad.xyz"),
+    ],
+)
+def test_a_file_that_fails_costs_the_others_nothing(line, name, folder, tmp_path, monkeypatch):
+    monkeypatch.chdir(folder)
+    (tmp_path / name).write_text("a b c\n")
+    words = shlex.split(line.replace("BAD", str(tmp_path / name)))
+    status = commands.run([*words, "--csv", str(tmp_path / "rows.csv")])
+    rows = pd.read_csv(tmp_path / "rows.csv")
+    bad = rows.iloc[:, 0] == name
+    reason = rows[rows.columns[rows.columns.str.startswith("remark")][0]]
+    assert (status, bad.sum()) == (1, 1)
+    assert reason[bad].str.startswith("Invalid").all()
+    assert rows.loc[~bad].drop(columns=reason.name).notna().any(axis=1).all()
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        KeyError("reason_"),
+        IndexError("of bounds"),
+        AttributeError("no attribute"),
+        MemoryError(),
+        ZeroDivisionError(),
+        ValueError("setting an array element with a sequence"),
+        OverflowError("too large"),
+    ],
+    ids=lambda one: type(one).__name__,
+)
+def test_an_error_that_nobody_foresaw_is_one_sentence(error, monkeypatch, capfd):
+    def fails(*_, **__):
+        raise error
+
+    monkeypatch.setattr(chart_cloud, "evaluate_cloud", fails)
+    path = str(samples.path("road_patch"))
+    assert commands.run(["evaluate", path]) == 2
+    said = capfd.readouterr().err
+    assert said.startswith(f"mmqa evaluate: Invalid input {path}: ")
+    assert said.count("\n") == 1
+    assert not str(error) or str(error) not in said.replace(path, "")
+
+
+def test_negative_numbers_are_values(capfd):
+    path = str(samples.path("road_patch"))
+    for line in ("-.5,1,2; 3,4,5; 6,7,9", "-0.5,1,2; 3,-4,5; 6,7,9"):
+        assert commands.run(["evaluate", path, "--polygon", line]) == 2
+        assert "inside the polygon: 0 given" in capfd.readouterr().err
+    given = ["calibrate", path, "--trajectory", "no.csv", "--lever-arm", "-0.35,-0.7,0.25"]
+    assert commands.run(given) == 2
+    assert "no.csv: no such file" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("backend", ["module://nothing", "nonsense"])
+def test_a_backend_that_is_not_there_is_named(backend, tmp_path):
+    path, figure = str(samples.path("road_patch")), str(tmp_path / "figure.png")
+    call = [sys.executable, "-m", "mmqa_lab", "evaluate", path, "--out", figure]
+    place = dict(os.environ, MPLBACKEND=backend)
+    done = subprocess.run(call, env=place, capture_output=True, text=True)
+    name = backend.removeprefix("module://")
+    wanted = f"Invalid MPLBACKEND {name}. Must name an installed module, or be agg."
+    assert (done.returncode, done.stderr) == (2, f"mmqa evaluate: {wanted}\n")

@@ -7,6 +7,7 @@ states each error in one sentence.
 import functools
 import inspect
 import os
+import re
 import sys
 import textwrap
 import warnings
@@ -26,6 +27,7 @@ __all__ = [
     "check_ending",
     "progress",
     "run",
+    "sentence_of",
     "table",
     "write_figure",
 ]
@@ -73,6 +75,7 @@ def table(function):
         if report is not None:
             _write_report(report, function.__name__, frame, inputs, choices.get("out"))
         print(as_json(frame) if json else as_text(frame))
+        return int(frame.attrs.get("failed", 0) > 0)
 
     only = inspect.Parameter.KEYWORD_ONLY
     shared = [
@@ -114,7 +117,7 @@ def _write_report(page, command, frame, inputs, out):
 
 def run(arguments):
     """Run a command line and return its exit status."""
-    words = list(arguments)
+    words = _with_negatives(arguments)
     name = words[0] if words and not words[0].startswith("-") else ""
     for stream in (sys.stdout, sys.stderr):  # what it cannot write, as an umlaut, becomes ?
         if hasattr(stream, "reconfigure"):
@@ -127,14 +130,38 @@ def run(arguments):
     except BrokenPipeError:  # as in: mmqa info *.laz | head
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except (CycloptsError, ValueError, TypeError, ImportError, OSError) as error:
-        if "--raise" in words:
-            raise
-        _say(name, " ".join(str(error).split()))
-        return 2
     except KeyboardInterrupt:
         _say(name, "interrupted; what was finished is kept.")
         return 130
+    except Exception as error:
+        if "--raise" in words:
+            raise
+        _say(name, sentence_of(error, " ".join(words[1:])))
+        return 2
+
+
+def _with_negatives(words):
+    """The words of a command line; a value such as -0.5,1,2 is joined to its option by =."""
+    joined = []
+    for word in words:
+        if re.match(r"-\.?\d", word) and joined and re.fullmatch(r"--[\w-]+", joined[-1]):
+            joined[-1] += f"={word}"
+        else:
+            joined.append(word)
+    return joined
+
+
+def sentence_of(error, given):
+    """The sentence of an error; of one that nobody foresaw our own, on the ``given`` input."""
+    text = " ".join(str(error).split())
+    backend = os.environ.get("MPLBACKEND", "").removeprefix("module://")
+    if backend and backend in text and (isinstance(error, ImportError) or "backend" in text):
+        return f"Invalid MPLBACKEND {backend}. Must name an installed module, or be agg."
+    if isinstance(error, CycloptsError | ImportError | OSError) or text.startswith("Invalid"):
+        return text
+    if isinstance(error, MemoryError):
+        return f"Invalid input {given}: it needs more memory than there is. Must be smaller."
+    return f"Invalid input {given}: no figures can be had from it. Must be as --help says."
 
 
 def _say(command, sentence):

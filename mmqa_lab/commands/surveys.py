@@ -16,6 +16,7 @@ from mmqa_lab.commands.machine import (
     FIGURE_ENDINGS,
     check_ending,
     progress,
+    sentence_of,
     table,
     write_figure,
 )
@@ -44,15 +45,36 @@ def info(clouds: list[Path], /):
             warnings.simplefilter("always", UserWarning)
             try:
                 row = _contents(file)
-            except (ValueError, OSError) as error:
-                errors, row = [*errors, error], {"remarks": str(error)}
+            except Exception as error:
+                errors, row = [*errors, error], {"remarks": sentence_of(error, file)}
         remarks = row.pop("remarks", "")
         for told in dict.fromkeys(str(one.message).removeprefix(f"{file}: ") for one in said):
             remarks += "" if told in remarks else f" {told}"
         rows.append({"file": file.name} | row | {"remarks": remarks.strip()})
     if len(errors) == len(rows):
         raise errors[0]
-    return pd.DataFrame(rows)
+    frame = pd.DataFrame(rows)
+    frame.attrs["failed"] = len(errors)
+    return frame
+
+
+def _each(files, unit, measured, *, column="file", remark="remarks"):
+    """Tables of files below each other; a file that fails has a row with the reason alone."""
+    import pandas as pd
+
+    tables, errors = [], []
+    for file in progress(files, unit):
+        try:
+            table = measured(file)
+        except Exception as error:
+            errors, table = [*errors, error], pd.DataFrame([{remark: sentence_of(error, file)}])
+        table.insert(0, column, file.name)
+        tables.append(table)
+    if len(errors) == len(files):
+        raise errors[0]
+    whole = pd.concat(tables, ignore_index=True)
+    whole.attrs["failed"] = len(errors)
+    return whole
 
 
 def _contents(file):
@@ -107,24 +129,25 @@ def evaluate(
     out
         Draw the last cloud into this file: .pdf, .png or .svg.
     """
-    import pandas as pd
-
     from mmqa_lab import chart_cloud, io
 
     check_ending(out, "figure", FIGURE_ENDINGS)
-    rows = []
-    for file in progress(clouds, "cloud"):
+    done = []
+
+    def measured(file):
         cloud = io.read_cloud(file, columns=())
         ring = None if polygon is None else io.read_polygon(polygon, crs=cloud.crs)
         quality = chart_cloud.evaluate_cloud(cloud, polygon=ring, rho0=rho0)
         frame = quality.intervals() if intervals else quality.to_frame()
         if detail is not None:
             frame["details_seen"] = quality.details(detail)[0]
-        frame.insert(0, "file", file.name)
-        rows.append(frame.assign(remarks=" ".join(quality.remarks)))
+        done.append(quality)
+        return frame.assign(remarks=" ".join(quality.remarks))
+
+    frame = _each(clouds, "cloud", measured)
     if out is not None:
-        write_figure(out, lambda: quality.plot(detail=detail))
-    return pd.concat(rows, ignore_index=True)
+        write_figure(out, lambda: done[-1].plot(detail=detail))
+    return frame
 
 
 @table
@@ -277,22 +300,17 @@ def pattern(
     polygon
         The outline of the patch: a CSV or GeoJSON file, or "x,y,z; x,y,z; x,y,z".
     """
-    import pandas as pd
-
     from mmqa_lab import chart_cloud, io, scan_pattern
 
-    rows = []
-    for file in progress(clouds, "cloud"):
+    def measured(file):
         cloud = io.read_cloud(file)
         if polygon is not None:
             ring = io.read_polygon(polygon, crs=cloud.crs)
             cloud = cloud[chart_cloud.inside_polygon(cloud, ring)]
         numbers = {name: cloud[name] for name in ("gps_time", "scan_line") if name in cloud}
-        found = scan_pattern.measure_pattern(cloud, **numbers)
-        frame = found.to_frame()
-        frame.insert(0, "file", file.name)
-        rows.append(frame)
-    return pd.concat(rows, ignore_index=True)
+        return scan_pattern.measure_pattern(cloud, **numbers).to_frame()
+
+    return _each(clouds, "cloud", measured)
 
 
 @table
@@ -598,8 +616,6 @@ def image(
     out
         Draw the last image into this file: .pdf, .png or .svg.
     """
-    import pandas as pd
-
     from mmqa_lab import chart_image, charts
 
     check_ending(out, "figure", FIGURE_ENDINGS)
@@ -608,22 +624,16 @@ def image(
         "panorama": panorama,
         "gamma": "linear" if linear else "srgb",
     }
-    rows, layout, quality = [], charts.imaging_chart(chart).printed(printed_mm), None
-    for file in progress(images, "image"):
-        try:
-            quality = chart_image.evaluate_file(file, layout, **choices)
-            frame = quality.to_frame()
-        except (ValueError, OSError) as error:
-            if len(images) == 1:
-                raise
-            frame = pd.DataFrame([{"remark": str(error)}])
-        frame.insert(0, "file", file.name)
-        rows.append(frame)
-    if quality is None:
-        raise ValueError(f"Invalid images: {rows[0]['file'][0]}: {rows[0]['remark'][0]}")
+    layout, done = charts.imaging_chart(chart).printed(printed_mm), []
+
+    def measured(file):
+        done.append(chart_image.evaluate_file(file, layout, **choices))
+        return done[-1].to_frame()
+
+    frame = _each(images, "image", measured, remark="remark")
     if out is not None:
-        write_figure(out, lambda: _two_panels(quality))
-    return pd.concat(rows, ignore_index=True)
+        write_figure(out, lambda: _two_panels(done[-1]))
+    return frame
 
 
 def _two_panels(quality):
@@ -677,23 +687,20 @@ def radiometry(
     linear
         Values are linear in light, as of RAW files; else edge, star and sharpness decode sRGB.
     """
-    import pandas as pd
-
     from mmqa_lab import image_targets, io
 
     known = None if targets is None else io.read_table(targets, "targets")
     if known is None and measure != "sharpness":
         raise ValueError(f"Invalid {measure} without targets. Must have --targets.")
-    rows = []
-    for file in progress(images, "image"):
+
+    def measured(file):
         values = io.read_bands(file)
         shown = known
         if known is not None and "image" in known:
             shown = known[known["image"].isin([file.name, file.stem])]
-        frame = image_targets.measure(values, measure, targets=shown, linear=linear)
-        frame.insert(0, "image", file.name)
-        rows.append(frame)
-    return pd.concat(rows, ignore_index=True)
+        return image_targets.measure(values, measure, targets=shown, linear=linear)
+
+    return _each(images, "image", measured, column="image")
 
 
 @table
