@@ -304,7 +304,7 @@ def plan_differences(
     Raises
     ------
     ValueError
-        If a point is not finite or a kind is unknown.
+        If a point or target is not finite, a kind is unknown, or there is no target.
 
     Notes
     -----
@@ -325,10 +325,14 @@ def plan_differences(
     [-0.03]
     """
     points = check_points(points)
+    check_columns(targets, ("x_m", "y_m", "z_m"), "targets")
+    if not len(targets):
+        raise ValueError("Invalid targets: none given. Must be one or more.")
+    check_points(targets[["x_m", "y_m", "z_m"]], name="targets")
     slices = slices or SLICES
     origin = points[:, :2].mean(axis=0).round()
     local = points[:, :2] - origin
-    tree, rng, rows = cKDTree(local), np.random.default_rng(0), []
+    tree, rows = cKDTree(local), []
     for number, target in enumerate(targets.to_dict("records")):
         kind = check_choice(target.get("kind", "pole"), "kind", slices)
         place = np.array([target["x_m"], target["y_m"]]) - origin
@@ -337,7 +341,7 @@ def plan_differences(
         above = points[near, 2] - target["z_m"]
         for low, high in slices[kind]:
             xy = local[near[(above >= low) & (above <= high)]] - place
-            found = _circle(xy, target.get("diameter_m")) if kind == "pole" else _corner(xy, rng)
+            found = _circle(xy, target.get("diameter_m")) if kind == "pole" else _corner(xy)
             named = {"name": target.get("name", number), "kind": kind}
             named |= {"x_m": target["x_m"], "y_m": target["y_m"], "height_m": (low + high) / 2}
             rows.append(named | dict(zip(("dx_m", "dy_m", "n", "reason"), found, strict=True)))
@@ -520,13 +524,17 @@ def distance_to_path(points: ArrayLike, path: ArrayLike | pd.DataFrame) -> np.nd
     Raises
     ------
     ValueError
-        If the path has fewer than two vertices or a value is not finite.
+        If the path has fewer than two vertices, a table of it lacks a column, or a value is not
+        finite.
 
     Examples
     --------
     >>> distance_to_path([[3, 5, 0], [0, 14, 0]], [[0, 0], [0, 10]]).tolist()
     [3.0, 4.0]
     """
+    if isinstance(path, pd.DataFrame):
+        check_columns(path, ("easting_m", "northing_m"), "path")
+        path = path[["easting_m", "northing_m"]]
     path = check_plan(path, name="path", minimum=2)
     points = check_plan(points)
     origin = path.mean(axis=0).round()
@@ -582,14 +590,14 @@ def _circle(xy, diameter):
     return *circle.centre, len(xy), ""
 
 
-def _corner(xy, rng):
+def _corner(xy):
     """The corner where two lines meet, number of points, and the reason if there is no corner."""
     nothing = np.nan, np.nan, len(xy)
     lines, rest = [], xy
     for few in ("too few points", "one line"):
         if len(rest) < FEWEST_ON_LINE:
             return *nothing, few
-        lines.append(_line(rest, rng))
+        lines.append(_line(rest))
         rest = rest[np.abs(lines[-1].distances(rest)) > 2 * NEAR_LINE_M]
     for _ in range(5):
         ways = np.stack([lines[0].direction, -lines[1].direction], axis=1)
@@ -606,9 +614,9 @@ def _corner(xy, rng):
     return *corner, int(sum(side.sum() for side in sides)), ""
 
 
-def _line(xy, rng):
+def _line(xy):
     """Line with the most points near it, of 300 through pairs of points."""
-    start, end = xy[rng.integers(len(xy), size=(2, 300))]
+    start, end = xy[np.random.default_rng(0).integers(len(xy), size=(2, 300))]
     way = end - start
     normal = np.stack([-way[:, 1], way[:, 0]], axis=1) / np.maximum(np.hypot(*way.T), 1e-9)[:, None]
     inside = np.abs(xy @ normal.T - (start * normal).sum(axis=1)) < NEAR_LINE_M

@@ -3,11 +3,14 @@
 import numpy as np
 import pandas as pd
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 from scipy.stats import t
 
 from mmqa_lab import io
 from mmqa_lab.test_field import (
+    distance_to_path,
     height_accuracy,
     height_differences,
     plan_accuracy,
@@ -185,3 +188,43 @@ def test_real_drives_against_airborne_heights(real):
 def test_le90_counts_differences_of_either_sign():
     table = pd.DataFrame({"dz_m": np.arange(-10, 1) / 1000, "reason": ""})
     assert height_accuracy(table)["le90_mm"].tolist() == pytest.approx([9.0, 5.0])
+
+
+def test_a_table_of_the_path_is_taken_by_its_columns():
+    points = [[3.0, 5.0, 0.0]]
+    table = pd.DataFrame({"time_s": [0, 1], "easting_m": 0.0, "northing_m": [0, 10.0]})
+    assert distance_to_path(points, table).tolist() == [3.0]
+    assert distance_to_path(points, table.assign(height_m=1.0)).tolist() == [3.0]
+    assert distance_to_path(pd.DataFrame(points), table).tolist() == [3.0]
+    with pytest.raises(ValueError, match="no column 'northing_m' beside time_s, easting_m"):
+        distance_to_path(points, table[["time_s", "easting_m"]])
+
+
+@given(st.permutations(range(5)))
+@settings(max_examples=5, deadline=None)
+def test_the_order_of_targets_changes_no_corner(order):
+    rng = np.random.default_rng(3)
+    walls, feet = [], []
+    for k in range(5):
+        along, height = rng.uniform(0, 2, (2, 400)), rng.uniform(0, 3, (2, 400))
+        zero = np.zeros(400)
+        walls += [np.c_[along[0], zero, height[0]] + [20 * k, 0, 0]]
+        walls += [np.c_[zero, along[1], height[1]] + [20 * k, 0, 0]]
+        feet.append({"x_m": 20 * k + 0.05, "y_m": 0.05, "z_m": 0.0, "kind": "building", "name": k})
+    cloud = np.vstack(walls)
+    cloud[:, :2] += rng.normal(0, 0.02, (len(cloud), 2))
+    targets = pd.DataFrame(feet)
+    found = plan_differences(cloud, targets).set_index("name")
+    other = plan_differences(cloud, targets.iloc[order]).set_index("name").loc[found.index]
+    pd.testing.assert_frame_equal(found, other)
+
+
+def test_targets_without_a_column_or_a_row_are_refused(ground):
+    whole = pd.DataFrame({"x_m": [1.0], "y_m": [1.0], "z_m": [0.0]})
+    for name in whole:
+        with pytest.raises(ValueError, match=f"Invalid targets: no column '{name}'"):
+            plan_differences(ground, whole.drop(columns=name))
+    with pytest.raises(ValueError, match=r"Invalid targets: none given. Must be one or more."):
+        plan_differences(ground, whole[:0])
+    with pytest.raises(ValueError, match="Invalid targets: 1 of 1 not finite"):
+        plan_differences(ground, whole * np.nan)
