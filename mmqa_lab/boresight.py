@@ -30,7 +30,7 @@ from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 from scipy.special import stdtrit
 
-from mmqa_lab._checks import check_choice, check_points
+from mmqa_lab._checks import check_choice, check_columns, check_points
 from mmqa_lab._results import Shown
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.planes import fit_circle, sigma_mad
@@ -184,7 +184,8 @@ def calibrate(
     Raises
     ------
     ValueError
-        If there are no common planes, a lever arm is longer than 10 m, or the mounting is not
+        If a head has no lever arm, times are all the same or outside the path's, there are no
+        common planes, a lever arm is longer than 10 m, or the mounting is not
         determined, for example because no control point lies on the clouds' ground: the sentence
         names the parameters that stay open.
 
@@ -252,7 +253,17 @@ class _Shots:
     def of(cls, cloud, trajectory, lever, origin, drive=0):
         """The shots of a cloud; places count from the origin."""
         head = cloud["head"].astype(int) if "head" in cloud else np.zeros(len(cloud), dtype=int)
-        position, rotation = trajectory.at(np.asarray(cloud["gps_time"], dtype=np.float64))
+        name, wrong = f"cloud {cloud.name or drive + 1}", (head < 0) | (head >= len(lever))
+        if wrong.any():
+            raise ValueError(
+                f"Invalid head {head[wrong][0]} of {name}. Must be 0 to {len(lever) - 1}: heads "
+                "count from 0, with one lever arm each."
+            )
+        check_columns(dict.fromkeys(cloud.columns), ("gps_time",), name)
+        try:
+            position, rotation = trajectory.at(np.asarray(cloud["gps_time"], dtype=np.float64))
+        except ValueError as error:
+            raise ValueError(f"Invalid {name}: {str(error).removeprefix('Invalid ')}") from None
         beam = np.einsum("nij,ni->nj", rotation, cloud.points - position) - lever[head]
         drives = np.full(len(cloud), drive)
         return cls(head, drives, position - origin, rotation, lever[head], beam)
@@ -264,6 +275,12 @@ class _Shots:
         for number, (cloud, path) in enumerate(drives):
             rows = np.sort(rng.permutation(len(cloud))[:1_000_000])
             parts.append(cls.of(cloud[rows], path, lever, origin, number))
+            time = cloud["gps_time"]
+            if time.min() == time.max():
+                raise ValueError(
+                    f"Invalid gps_time of cloud {cloud.name or number + 1}: all {time[0]} s. "
+                    "Must be the time of each point."
+                )
         columns = ([getattr(part, field.name) for part in parts] for field in fields(cls))
         return cls(*map(np.concatenate, columns))
 

@@ -133,3 +133,28 @@ def test_a_corrected_cloud_keeps_its_coordinate_system():
     moved = corrected(cloud, straight(20, 10), **raised)
     assert moved.crs == cloud.crs
     assert moved.points == pytest.approx(np.array([[3.0, 5.0, 0.1]]))
+
+
+@pytest.mark.parametrize(
+    ("column", "change", "sentence"),
+    [
+        ("head", lambda head: head + 1, "Invalid head 2 of cloud a. Must be 0 to 1: heads count"),
+        ("head", lambda head: head - 1, "Invalid head -1 of cloud a. Must be 0 to 1"),
+        ("gps_time", lambda time: 0 * time, "Invalid gps_time of cloud a: all 0.0 s. Must be the"),
+        ("gps_time", lambda time: time + 1e9, "Invalid cloud a: time 10000"),
+    ],
+)
+def test_heads_and_times_that_fit_nothing_are_named(survey, column, change, sentence):
+    (cloud, path), *others = survey.drives
+    columns = dict(cloud.columns) | {column: change(cloud[column].astype(float))}
+    drives = [(Cloud(cloud.points, columns, "a"), path), *others]
+    with pytest.raises(ValueError, match=sentence) as error:
+        calibrate(drives, lever_arms_m=survey.lever_arms_m)
+    if "time 1" in sentence:
+        assert f"Must be between {path.time[0]} and {path.time[-1]} s" in str(error.value)
+
+
+def test_a_cloud_without_time_is_refused(survey):
+    (cloud, path), *others = survey.drives
+    with pytest.raises(ValueError, match="Invalid cloud 1: no column 'gps_time'"):
+        calibrate([(Cloud(cloud.points), path), *others], lever_arms_m=survey.lever_arms_m)

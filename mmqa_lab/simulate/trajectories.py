@@ -124,7 +124,10 @@ class Trajectory:
         """
         time = np.asarray(time, dtype=np.float64)
         if not ((time >= self.time[0]) & (time <= self.time[-1])).all():
-            raise ValueError(f"Invalid time. Must be between {self.time[0]} and {self.time[-1]} s.")
+            raise ValueError(
+                f"Invalid time {time.min()} to {time.max()} s. Must be between {self.time[0]} and "
+                f"{self.time[-1]} s, the times of the path."
+            )
         states = self.states(time - self.time[0])
         return self.origin + states[:, :3], rotations(*states[:, 3:].T)
 
