@@ -97,6 +97,14 @@ COMMANDS = [
     ("accuracy zone32.laz zone33.laz", "zone 33N. Must be in ETRS89 / UTM zone 32N"),
     ("accuracy PATCH --targets trees.csv", "Invalid kind 'tree'. Must be one of"),
     ("calibrate PATCH PATCH --trajectory path.csv --lever-arm 1,a,2", "Must be X,Y,Z."),
+    ("calibrate PATCH PATCH --trajectory path.csv --lever-arm 1,2", "Must be X,Y,Z."),
+    (
+        "calibrate PATCH --trajectory path.csv --lever-arm -1,2,3 --lever-arm -1,2",
+        "Must be X,Y,Z.",
+    ),
+    ("accuracy PATCH --targets no_height.csv", "no column 'z_m' beside x_m, y_m"),
+    ("accuracy PATCH --targets no_rows.csv", "Invalid targets: none given."),
+    ("image grey.png --corners '-1,1; 2,2; 3'", "Must be four times x,y between ;."),
     ("chart --out chart.docx", "Invalid ending '.docx'. Must be one of .pdf, .svg."),
     ("image words.csv", "no image that can be decoded. Must be a complete JPEG"),
     ("image cut.png", "cut short. Must be a complete JPEG, PNG or TIFF file"),
@@ -261,6 +269,8 @@ def folder(tmp_path_factory):
         "path.csv": "time,x,y,z,roll,pitch,heading\n0,0,0,0,0,0,0\n1,5,0,0,0,0,0\n",
         "repeated.csv": "time,x,y,z\n1,3,0,0\n1,1,0,0\n2,2,0,0\n",
         "gap.csv": "time,x,y,z\n0,0,0,2\n1,,0,2\n2,2,0,2\n",
+        "no_height.csv": "x,y\n1,2\n",
+        "no_rows.csv": "x,y,z,kind\n",
         "trees.csv": "x,y,z,kind\n0.5,0.5,0,tree\n",
         "region.csv": "x_px,y_px,width_px,height_px,reflectance\n190,10,20,20,0.1\n",
     }

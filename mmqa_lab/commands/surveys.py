@@ -526,7 +526,8 @@ def calibrate(
         raise ValueError(f"Invalid trajectories: {len(paths)}. Must be one, or one for each drive.")
     heads = 1 + max(int(np.max(cloud["head"])) if "head" in cloud else 0 for cloud in clouds)
     try:
-        arms = [[float(word) for word in arm.split(",")] for arm in lever_arm or ["0,0,0"] * heads]
+        arms = [arm.split(",") for arm in lever_arm or ["0,0,0"] * heads]
+        arms = np.array(arms, dtype=np.float64).reshape(len(arms), 3)
     except ValueError:
         raise ValueError(f"Invalid lever-arm {' '.join(lever_arm)}. Must be X,Y,Z.") from None
     found = boresight.calibrate(
@@ -648,8 +649,10 @@ def _two_panels(quality):
 
 def _corners(text):
     """Four corners from 'x,y; x,y; x,y; x,y'."""
+    import numpy as np
+
     try:
-        return [[float(word) for word in corner.split(",")] for corner in text.split(";")]
+        return np.array([corner.split(",") for corner in text.split(";")], float).reshape(4, 2)
     except ValueError:
         raise ValueError(f"Invalid corners {text!r}. Must be four times x,y between ;.") from None
 
