@@ -1,5 +1,8 @@
 """Segments, their distances and the threshold: golden values, brute force, invariances, rejects."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -176,3 +179,8 @@ def test_the_peak_is_that_of_a_running_maximum(rng, sensitivity):
         found = peak_threshold(nearest, sensitivity=sensitivity)
         assert found.fallback == (peak is None)
         assert found.delta == nearest[-1 if peak is None else peak + 1]
+
+
+def test_importing_the_lines_leaves_signal_processing_out():
+    code = "import sys, mmqa_lab.lines; sys.exit('scipy.signal' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0

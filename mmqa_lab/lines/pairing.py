@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import linear_sum_assignment
-from scipy.signal import find_peaks
 
 from mmqa_lab._checks import check_choice, check_positive
 from mmqa_lab._results import Shown
@@ -101,6 +100,8 @@ def peak_threshold(
     >>> peak_threshold(nearest).delta
     0.55
     """
+    from scipy.signal import find_peaks  # slow to import, and known pairs do not need it
+
     nearest = np.sort(np.asarray(nearest, dtype=np.float64))
     if nearest.ndim != 1 or not np.isfinite(nearest).all() or (nearest < 0).any():
         raise ValueError(f"Invalid nearest distances {nearest}. Must be a row of numbers >= 0 m.")
