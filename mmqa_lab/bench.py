@@ -30,6 +30,11 @@ from tqdm import tqdm
 from mmqa_lab import plots
 from mmqa_lab._checks import check_choice
 
+__all__ = [
+    "Comparison", "cell_table", "compare", "failures", "figure_names", "grid", "heading", "plot",
+    "plot_tables", "rank", "run", "split_unit", "summary", "unit_ending",
+]  # fmt: skip
+
 # Most characters of a reason.
 LONGEST_REASON = 300
 

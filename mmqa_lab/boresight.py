@@ -36,6 +36,8 @@ from mmqa_lab.cloud import Cloud
 from mmqa_lab.planes import fit_circle, sigma_mad
 from mmqa_lab.rotations import rotations
 
+__all__ = ["FEWEST", "Calibration", "calibrate", "corrected"]
+
 PARAMETERS = ("roll_deg", "pitch_deg", "heading_deg", "x_m", "y_m", "z_m")
 """Parameters of each head: boresight, and corrections to the assumed lever arm."""
 

@@ -39,6 +39,12 @@ from mmqa_lab.cloud import path_distance
 from mmqa_lab.planes import fit_circle, fit_line
 from mmqa_lab.stats import blocks, errors, mean_reach
 
+__all__ = [
+    "FEWEST", "POLE_SEARCH_M", "REPORT_SLICES", "SLICES", "compare_heights", "distance_to_path",
+    "height_accuracy", "height_differences", "plan_accuracy", "plan_differences", "split_drives",
+    "thinned", "trend",
+]  # fmt: skip
+
 GROSS, LEAST_GROSS_M = 5.0, 0.01
 """Gross errors are farther than this many NMAD, and farther than 1 cm, from the median."""
 

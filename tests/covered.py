@@ -363,7 +363,7 @@ def mounting(seed, drift):
     control = street.ground(spacing_m=4.0, seed=seed)
     known = {"lever_arms_m": system.assumed_lever_arms, "poles": street.poles}
     found = calibrate(drives, control=control, patches=40, **known, **path_std)
-    truth = np.hstack([study.BORESIGHT_DEG, -np.array(test_field.LEVER_ARM_ERROR_M)])
+    truth = np.hstack([study.BORESIGHT_DEG, -np.array(study.LEVER_ARM_ERROR_M)])
     rows = zip(found.table.itertuples(), truth.ravel(), strict=True)
     kinds = {"deg": "boresight", "m": "lever arm"}
     return {

@@ -2,6 +2,7 @@
 
 import ast
 import hashlib
+import importlib
 import re
 import socket
 import subprocess
@@ -75,6 +76,17 @@ def test_the_package_lists_its_rooms_in_the_order_of_their_imports():
         assert set(listed[: len(rooms)]) == rooms
         del listed[: len(rooms)]
     assert not listed
+
+
+@pytest.mark.parametrize(
+    "path", sorted(PACKAGE.rglob("*.py")), ids=lambda path: str(path.relative_to(PACKAGE))
+)
+def test_each_module_says_what_it_offers(path):
+    if (path.parent == PACKAGE and path.name.startswith("_")) or path.stem == "_search":
+        return
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    module = importlib.import_module(".".join(parts).removesuffix(".__init__"))
+    assert set(module.__all__) <= set(vars(module))
 
 
 def test_importing_the_package_is_light():

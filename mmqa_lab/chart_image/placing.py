@@ -22,6 +22,11 @@ from scipy.spatial.transform import Rotation
 from mmqa_lab._checks import check_image, check_points, check_positive
 from mmqa_lab.charts import Bar, Layout, LinePairs, Marker, reflectance
 
+__all__ = [
+    "BLOCKS", "SIGMAS_PX", "Bend", "ChartMap", "PanoramaCamera", "align", "four_corners",
+    "locate",
+]  # fmt: skip
+
 ENLARGEMENTS, ENLARGED_PIXELS, SHRUNK_PIXELS = (1, 2, 4), 4e6, 25e6
 """Factors of enlargement for small targets, and the number of pixels up to which they are used;
 targets are sought in larger images than the last one made that small first."""

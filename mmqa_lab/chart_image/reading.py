@@ -20,6 +20,11 @@ from mmqa_lab._results import Shown
 from mmqa_lab.chart_image.placing import ChartMap
 from mmqa_lab.charts import Bar, Layout, LinePairs, reflectance
 
+__all__ = [
+    "HIDDEN", "MOVED", "SMALLEST_GAP", "SMALLEST_PAIR_PX", "PairReading", "Resolution", "Tones",
+    "expected_contrast", "find_tones", "pixel_sizes", "read_pairs", "read_pattern", "resolution",
+]  # fmt: skip
+
 SMALLEST_CONTRAST = 3.0
 """Multiples of the noise by which white must differ from black."""
 

@@ -27,6 +27,12 @@ from mmqa_lab.chart_image.placing import ChartMap, four_corners
 from mmqa_lab.chart_image.reading import find_tones
 from mmqa_lab.charts import Layout, LinePairs, Text
 
+__all__ = [
+    "MARKS", "PLACE", "Agreement", "Crop", "agreement", "chart_site", "check_marks",
+    "choose_images", "colour_fringes", "expected_marks", "mark_limits", "quality_index",
+    "text_crops",
+]  # fmt: skip
+
 ALONG, AHEAD, BEHIND = "orthogonal", "forward", "backward"
 
 PLACE = ["easting_m", "northing_m", "height_m"]

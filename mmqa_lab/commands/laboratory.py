@@ -11,6 +11,8 @@ from cyclopts import Parameter
 
 from mmqa_lab.commands.machine import FIGURE_ENDINGS, app, progress, table, write_figure
 
+__all__ = ["bench", "lab", "student", "studies", "test"]
+
 
 @table
 def bench(

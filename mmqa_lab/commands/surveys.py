@@ -21,6 +21,11 @@ from mmqa_lab.commands.machine import (
     write_figure,
 )
 
+__all__ = [
+    "accuracy", "calibrate", "chart", "evaluate", "image", "info", "lhd", "map_", "pattern",
+    "plan", "poles", "radiometry", "tender",
+]  # fmt: skip
+
 
 @table
 def info(clouds: list[Path], /):
@@ -53,9 +58,7 @@ def info(clouds: list[Path], /):
         rows.append({"file": file.name} | row | {"remarks": remarks.strip()})
     if len(errors) == len(rows):
         raise errors[0]
-    frame = pd.DataFrame(rows)
-    frame.attrs["failed"] = len(errors)
-    return frame
+    return pd.DataFrame(rows)
 
 
 def _each(files, unit, measured, *, column="file", remark="remarks"):

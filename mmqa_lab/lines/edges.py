@@ -11,6 +11,8 @@ from scipy.sparse import csc_array
 from mmqa_lab._checks import check_points
 from mmqa_lab.plane_search import CELLS_PER_SIZE, Grid, detect_planes, usual_size
 
+__all__ = ["Edges", "extract_edges"]
+
 LEAST_DEG = 20.0
 """Least angle between two planes with an edge."""
 

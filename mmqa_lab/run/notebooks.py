@@ -13,6 +13,8 @@ from mmqa_lab.io import write_atomically
 from mmqa_lab.run import new_record, read_record, write_record
 from mmqa_lab.run.pages import notebook_page
 
+__all__ = ["ENVIRONMENT", "execute", "inject", "run_study"]
+
 ENVIRONMENT = {
     "MMQA_HEADLESS": "1",
     "MPLBACKEND": "module://matplotlib_inline.backend_inline",

@@ -22,6 +22,11 @@ from mmqa_lab.run import four_digits, read_record, verdict
 from mmqa_lab.run.api import public_names
 from mmqa_lab.studies import notebooks_folder
 
+__all__ = [
+    "ANSWERS", "LEDGER", "TEMPLATES", "filled", "notebook_page", "stored_answers", "write_ledger",
+    "write_pages", "write_report", "write_words",
+]  # fmt: skip
+
 TEMPLATES = Path(__file__).parent / "templates"
 
 # A formula on a line of its own, or within a text.

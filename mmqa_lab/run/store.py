@@ -19,6 +19,8 @@ from mmqa_lab.published.ledger import collect, summary
 from mmqa_lab.run import read_record
 from mmqa_lab.run.pages import ANSWERS
 
+__all__ = ["LEDGER", "code_hash", "store"]
+
 # Widths of stored figures, which is 178 mm at 143 dpi, and of thumbnails.
 WIDTH_PX, THUMBNAIL_PX = 1000, 280
 

@@ -33,6 +33,11 @@ from mmqa_lab.io import write_atomically
 from mmqa_lab.run.notebooks import execute, inject
 from mmqa_lab.run.pages import notebook_page
 
+__all__ = [
+    "ASKED", "FEW", "NUMBER", "NotRight", "answer_table", "check_answer", "needed_statements",
+    "student_cell", "work_out", "write_solutions", "write_student_notebooks",
+]  # fmt: skip
+
 # Begins the line of an answer that states names, types and units. Students see this line.
 ASKED = "# asked for: "
 

@@ -13,6 +13,11 @@ import numpy as np
 from mmqa_lab._checks import check_values
 from mmqa_lab.rotations import turned
 
+__all__ = [
+    "LEVEL", "PointSpacing", "point_spacing", "profile_angle", "profile_spacing_horizontal",
+    "profile_spacing_vertical", "pulse_angle", "scanner_normal", "target_normal",
+]  # fmt: skip
+
 # A surface closer to level than 0.1 degree has no horizontal line of its own.
 LEVEL = np.sin(np.radians(0.1))
 

@@ -31,3 +31,9 @@ from mmqa_lab.simulate.trajectories import (
     straight,
     with_speed_variation,
 )
+
+__all__ = [
+    "PRESETS", "NavigationErrors", "Scanner", "Scene", "System", "Trajectory", "board", "box",
+    "chart_corners", "cylinder", "ground", "measured", "rectangle", "scan", "straight", "system",
+    "wall", "with_speed_variation",
+]  # fmt: skip

@@ -17,6 +17,11 @@ from mmqa_lab.cloud import Cloud
 from mmqa_lab.lines import lengths
 from mmqa_lab.simulate.trajectories import gauss_markov
 
+__all__ = [
+    "CENTRE_M", "COMPARISONS", "Canyon", "Positioning", "Survey", "canyon", "canyon_cloud",
+    "canyon_edges", "canyon_faces",
+]  # fmt: skip
+
 COMPARISONS = {
     "repeatability": (("C1", "C2"), ("C1", "C3"), ("C2", "C3")),
     "absolute": (("C1", "TLS"), ("C2", "TLS"), ("C3", "TLS")),

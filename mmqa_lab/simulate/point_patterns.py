@@ -14,6 +14,11 @@ from scipy.spatial import cKDTree
 from mmqa_lab._checks import check_choice, check_number, check_positive
 from mmqa_lab.spacing import poisson_spacing
 
+__all__ = [
+    "HOLE_SHARE", "KINDS", "SLOPE", "aligned_lines_f", "expected_f", "hard_core_points",
+    "point_pattern", "thin", "true_ratio",
+]  # fmt: skip
+
 SLOPE = 0.8
 """Gradients: density changes from 1 - SLOPE to 1 + SLOPE of the mean across the turned window."""
 

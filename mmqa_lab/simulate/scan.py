@@ -15,6 +15,8 @@ from mmqa_lab._checks import check_number, check_points, check_positive
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.rotations import across, rotations
 
+__all__ = ["RING", "Scanner", "scan"]
+
 RING = 0.651
 """Radius of the ring over the 1/e2 radius: median of the outer 6/7 of a Gaussian beam."""
 

@@ -14,6 +14,8 @@ from mmqa_lab._checks import check_points
 from mmqa_lab._compiled import in_threads
 from mmqa_lab.simulate.surfaces import DISC, SHAFT, group
 
+__all__ = ["Hits", "Scene", "Tree", "nearest"]
+
 STACK = 128
 
 

@@ -30,6 +30,11 @@ from mmqa_lab.simulate.surfaces import (
 from mmqa_lab.simulate.systems import PRESETS
 from mmqa_lab.simulate.trajectories import straight
 
+__all__ = [
+    "PLANS", "SCANNERS", "Plan", "Street", "crown", "drive", "pedestrian", "shaft", "street",
+    "visible_targets",
+]  # fmt: skip
+
 FAR_M = 12.5
 LEAF_RADIUS_M = 0.07
 

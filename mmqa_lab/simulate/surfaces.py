@@ -11,6 +11,11 @@ import numpy as np
 from mmqa_lab._checks import check_count, check_number, check_points, check_positive
 from mmqa_lab.rotations import across
 
+__all__ = [
+    "DISC", "SHAFT", "Surface", "board", "box", "chart_corners", "cylinder", "disc", "foliage",
+    "ground", "group", "rectangle", "wall",
+]  # fmt: skip
+
 RECTANGLE, DISC, SHAFT = range(3)
 """Kinds of primitives; ``scenes.Tree`` says what their nine shape numbers mean."""
 

@@ -23,6 +23,11 @@ from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.surfaces import board, chart_corners
 from mmqa_lab.simulate.trajectories import NavigationErrors, straight
 
+__all__ = [
+    "FACING_THE_ROAD", "PRESETS", "REACH", "SPEED", "SYSTEM_A", "SYSTEM_B", "SYSTEM_C",
+    "MatchingCamera", "System", "drive_past", "pass_chart", "system",
+]  # fmt: skip
+
 
 @dataclass(frozen=True, kw_only=True)
 class MatchingCamera:

@@ -23,6 +23,12 @@ from scipy.spatial import cKDTree
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
 from mmqa_lab.mtf import LENS_TRANSFERS, lens_mtf
 
+__all__ = [
+    "ATMOSPHERES", "FINE", "LENGTH_M", "SURFACES", "Atmosphere", "Flight", "ImageBlock",
+    "PointSpread", "blur_over_image", "expose", "fly_block", "render_bars", "render_edge",
+    "render_star", "texture",
+]  # fmt: skip
+
 FINE = 8
 """Samples a pixel of the grid that targets are drawn on."""
 

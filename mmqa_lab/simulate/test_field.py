@@ -17,6 +17,8 @@ from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.surfaces import box, cylinder, rectangle
 from mmqa_lab.simulate.trajectories import measured, straight
 
+__all__ = ["REFERENCE_STD_M", "SPEED", "SimulatedField", "drive_test_field", "make_test_field"]
+
 ROAD_HALF_M = 5.0
 PAVEMENT_M = 4.0
 CURB_M = 0.12

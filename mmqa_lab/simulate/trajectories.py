@@ -13,6 +13,11 @@ import numpy as np
 from mmqa_lab._checks import check_number, check_points, check_positive
 from mmqa_lab.rotations import rotations
 
+__all__ = [
+    "NavigationErrors", "Trajectory", "gauss_markov", "measured", "straight",
+    "with_speed_variation",
+]  # fmt: skip
+
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:

@@ -8,6 +8,8 @@ from pathlib import Path
 from mmqa_lab._checks import check_choice
 from mmqa_lab._data import read_toml, shipped_folder
 
+__all__ = ["STUDIES", "TOOLS", "Study", "chosen", "notebooks_folder", "results_folder"]
+
 
 @dataclass(frozen=True)
 class Study:

@@ -9,6 +9,11 @@ from mmqa_lab.planes import fit_plane
 from mmqa_lab.simulate.point_patterns import KINDS, point_pattern, true_ratio
 from mmqa_lab.spacing import directional, quadrants, turned_f
 
+__all__ = [
+    "BOARDS", "METHODS", "bench", "boards", "pair_contrast", "pattern", "real_clouds",
+    "structure_tensor",
+]  # fmt: skip
+
 BOARDS = {"board, 16 beams": "boards/vlp16_pose02.laz", "board, 64 beams": "boards/os64_pose02.laz"}
 
 

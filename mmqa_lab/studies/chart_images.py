@@ -11,6 +11,11 @@ from mmqa_lab.charts import Bar, Layout, LinePairs, decode
 from mmqa_lab.published import ledger
 from mmqa_lab.simulate import cameras
 
+__all__ = [
+    "LADDERS_MM", "ROW", "bench", "contrast_alone", "enough_pixels", "every_gap", "ledger_rows",
+    "pair_limit", "photo_case", "score_rule", "table_1",
+]  # fmt: skip
+
 ROW = ["system", "distance_m", "view"]
 """Columns that name a row of Table 1."""
 

@@ -15,6 +15,11 @@ from mmqa_lab.cloud import Cloud
 from mmqa_lab.planes import CONSISTENT_SCALE, PAPER_SCALE
 from mmqa_lab.simulate import chart_corners, systems
 
+__all__ = [
+    "FIGURES", "METHODS", "SENSORS", "bench", "chart_cloud", "differences", "make", "read",
+    "table_2",
+]  # fmt: skip
+
 FIGURES = {
     "density_per_m2": "density",
     "precision_mm": "sigma_mad",

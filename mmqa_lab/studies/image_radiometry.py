@@ -14,6 +14,13 @@ from mmqa_lab.bench import Comparison, grid
 from mmqa_lab.published import table
 from mmqa_lab.simulate.targets import ATMOSPHERES, expose
 
+__all__ = [
+    "BITS", "FULL_SCALE", "GAIN", "GREY_STEPS", "METHODS", "OFFSET", "PATCH", "REFERENCE_SETTING",
+    "SETTINGS", "SOURCE", "SURROUNDINGS", "air_of", "bench", "calibrated", "class_errors",
+    "dark_pixel", "equation_4", "field", "grey_wedge", "line", "one_target", "surfaces_of",
+    "wedge_targets",
+]  # fmt: skip
+
 SOURCE = "eurosdr2013_radiometry"
 
 GAIN, OFFSET, BITS = 28.0, 60.0, 12

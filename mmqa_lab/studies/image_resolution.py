@@ -15,6 +15,11 @@ from mmqa_lab.bench import Comparison, cell_table, grid
 from mmqa_lab.mtf import fit_edge
 from mmqa_lab.simulate.targets import PointSpread, render_edge
 
+__all__ = [
+    "HIGH", "LENSES", "LOW", "METHODS", "REAL_EDGES", "SOURCE", "bench", "edge_errors",
+    "edge_patch", "errors_by_lens", "estimate", "noisy", "real_patch", "rise", "spread_of",
+]  # fmt: skip
+
 SOURCE = "eurosdr2013_radiometry"
 
 LOW, HIGH = 0.1, 0.6

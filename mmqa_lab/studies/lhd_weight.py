@@ -13,6 +13,11 @@ from mmqa_lab.bench import Comparison, grid
 from mmqa_lab.published import table
 from mmqa_lab.simulate.canyon import COMPARISONS, canyon
 
+__all__ = [
+    "FITTED", "METHODS", "Sets", "Truth", "bench", "measured", "of_scenes", "published_rows",
+    "replicas", "scene", "score", "score_directions", "score_vector",
+]  # fmt: skip
+
 COURSES = {f"{a}-{b}": (a, b) for pairs in COMPARISONS.values() for a, b in pairs}
 """Test and model survey of each comparison, in the order of Tables 1 and 2."""
 

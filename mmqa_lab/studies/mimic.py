@@ -11,6 +11,12 @@ from mmqa_lab.bench import Comparison
 from mmqa_lab.published import ledger, number, table
 from mmqa_lab.scan_pattern import Patch, ScanSetup, Target, measure_pattern, mimic, scan_lattice
 
+__all__ = [
+    "EQUATIONS", "FIGURES", "METHODS", "SETUP", "SOURCE", "Scan", "bench", "cad_walls", "cast",
+    "clicked", "lattice", "ledger_table", "make", "measured", "paper", "parts", "score",
+    "simulate_patch", "surfaces",
+]  # fmt: skip
+
 SOURCE = "cahalane2014"
 
 # The mirror frequency is not printed; 0.100 m in row 2 of Table 3 needs 100 Hz.

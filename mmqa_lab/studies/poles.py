@@ -21,6 +21,12 @@ from mmqa_lab.published import ledger
 from mmqa_lab.simulate import streets
 from mmqa_lab.simulate.scan import scan
 
+__all__ = [
+    "ASKED", "CLASSES", "CORRIDORS_M", "METHODS", "OAKLAND", "PARTS", "PRINTED", "bench",
+    "beside_published", "counts", "crowded", "f1", "oakland", "outcomes", "paired", "rates",
+    "scene",
+]  # fmt: skip
+
 CORRIDORS_M = (30.0, 15.0, 12.5)
 CLASSES = ("tree", "sign", "lamp", "other")
 

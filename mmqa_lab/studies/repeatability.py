@@ -15,6 +15,11 @@ from mmqa_lab.repeatability import operator_polygons, repeatability
 from mmqa_lab.simulate import chart_corners, systems
 from mmqa_lab.studies.anisotropy import boards
 
+__all__ = [
+    "FIGURES", "KEYS", "METHODS", "SENSORS", "UPRIGHT", "Surface", "bench", "chart_scan",
+    "limits", "make", "operators", "ranges_of_five", "real_surfaces", "selected",
+]  # fmt: skip
+
 UPRIGHT = replace(systems.SYSTEM_B, range_noise_m=0.01)
 """B's range noise is fitted to the published sigma_MAD of 9.2 mm."""
 

@@ -19,6 +19,12 @@ from mmqa_lab.simulate import systems
 from mmqa_lab.simulate.point_patterns import thin
 from mmqa_lab.studies.chart_tables import FIGURES, SENSORS, chart_cloud, read, table_2
 
+__all__ = [
+    "FITS", "FITTED", "HALF_UNITS", "METHODS", "TOLERANCE", "USUAL", "bench", "closed_form",
+    "compare", "fit", "fitted_noise", "in_tolerances", "make", "measure", "misfits", "one_pair",
+    "pairs_fused", "resampled", "score", "search", "simulated", "thinned",
+]  # fmt: skip
+
 USUAL = {"A": {"tilt_deg": 45, "height_m": 0.75}, "B": {"tilt_deg": 0, "height_m": 1}}
 """Usual values of the parameters that are not stated."""
 

@@ -14,6 +14,13 @@ from mmqa_lab.simulate import PRESETS, NavigationErrors, System, measured
 from mmqa_lab.simulate.test_field import drive_test_field, make_test_field
 from mmqa_lab.test_field import height_accuracy, height_differences, plan_accuracy, plan_differences
 
+__all__ = [
+    "BORESIGHT_DEG", "DIRECTIONS", "LEVER_ARM_ERROR_M", "METHODS", "REAL", "SOURCE", "STANDS_FOR",
+    "STRIP_M", "TOLERANCE", "against_published", "as_installed", "bench", "calibration_tables",
+    "columns", "from_planes", "full", "places", "predicted", "prediction_table", "published_rows",
+    "score", "two_drives", "two_heads",
+]  # fmt: skip
+
 REAL = ("mls_two_drives.laz", "airborne_ground_height.npz")
 """Files of the real drives."""
 
