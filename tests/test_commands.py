@@ -170,7 +170,6 @@ def test_help_and_preparing_need_the_standard_library_alone(tmp_path):
     [
         ("evaluate BAD head.laz", "bad.xyz"),
         ("pattern head.laz BAD", "bad.xyz"),
-        ("info BAD head.laz", "bad.xyz"),
         ("radiometry sharpness BAD chart.png --linear", "bad.xyz"),
         (IMAGE.replace("image", "image BAD"), "bad.xyz"),
     ],
