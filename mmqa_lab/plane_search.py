@@ -260,7 +260,7 @@ class _Search:
         drawn = grid.points[free[rank % stride == 0]]
         tree, low = cKDTree(drawn), grid.points[grid.start[seeds]]
         pieces = []
-        for part in np.array_split(low, len(low) // 1000 + 1):
+        for part in np.array_split(low, len(low) // 100 + 1):
             near = tree.query(part, 64, p=np.inf, distance_upper_bound=2.5 * grid.edge)[1]
             pieces.append(_pieces(drawn, near, self.trials, self.tolerance, grid.edge))
         scores, centres, normals = (np.concatenate(part) for part in zip(*pieces, strict=True))
