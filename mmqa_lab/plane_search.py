@@ -232,7 +232,10 @@ class Grid:
 
     def around(self, cells):
         """The given cells and all cells that touch one of them."""
-        return np.unique(self.near[cells].indices)
+        bounds, places = self.near.indptr, self.near.indices
+        first, number = bounds[cells], bounds[cells + 1] - bounds[cells]
+        rest = np.repeat(first - np.cumsum(number) + number, number)
+        return np.unique(places[rest + np.arange(len(rest))])
 
 
 class _Search:
