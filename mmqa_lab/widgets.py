@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import os
 import threading
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -51,7 +52,7 @@ WIDEST_PX, LARGEST_ZOOM = 800, 12
 MARGINS = {"left": 0.07, "right": 0.98, "bottom": 0.11, "top": 0.88, "wspace": 0.15, "hspace": 1}
 
 # Most points drawn, and most planes listed, those with the most points first. All are used.
-SHOWN, LISTED = 10_000, 30
+SHOWN, LISTED = 10_000, 12
 
 # Colours of the other planes in the picture and in the list.
 TINTS = ("#56B4E9", "#009E73", "#E69F00", "#CC79A7", "#F0E442", "#999999")
@@ -307,6 +308,18 @@ class SelectionTool:
             again()
 
 
+def _planes_of(points, tolerance, size):
+    """The planes of a cloud; of a thin cloud those of the least size, doubled, that it has."""
+    found, largest = [], np.ptp(points, axis=0).max()
+    while not found:
+        with warnings.catch_warnings(action="ignore"):
+            found = detect_planes(points, tolerance=tolerance, size=size)
+        size *= 2
+        if size > largest:
+            break
+    return found
+
+
 class SurfaceTool(SelectionTool):
     """A list of planes in clouds beside a picture, and the selection tool for the chosen plane.
 
@@ -328,11 +341,13 @@ class SurfaceTool(SelectionTool):
     planes : DataFrame
         ``cloud``, ``plane``, ``points``, ``area_m2``, ``slope_deg``, ``std_mm``, ``easting_m``,
         ``northing_m``, ``height_m`` of all planes.
+    missing : list of str
+        A sentence for each cloud without planes; it is left out of the list.
 
     Raises
     ------
     ValueError
-        If a cloud has no plane of that size.
+        If no cloud has a plane of that size or larger.
 
     Examples
     --------
@@ -346,21 +361,27 @@ class SurfaceTool(SelectionTool):
         self, clouds: Mapping, *, tolerance: float = 0.1, size: float = 0.5, **choices: Any
     ):
         self._points = {name: check_points(cloud) for name, cloud in clouds.items()}
-        self._patches, rows = {}, []
+        self._patches, self.missing, rows = {}, [], []
         for name, points in self._points.items():
-            patches = self._patches[name] = detect_planes(points, tolerance=tolerance, size=size)
+            patches = self._patches[name] = _planes_of(points, tolerance, size)
             if not patches:
-                raise ValueError(f"Invalid cloud {name}: no plane of {size} m. Must have one.")
+                self.missing.append(f"{name}: no plane of {size:g} m or more.")
             for number, patch in enumerate(patches):
                 rows.append({"cloud": name, "plane": number, **_described(patch, points)})
+        listed = [name for name, patches in self._patches.items() if patches]
+        if not listed:
+            sentence = f"Invalid cloud {next(iter(clouds))}: no plane of {size} m. Must have one."
+            raise ValueError(sentence)
         self.planes = pd.DataFrame(rows)
         self._scene = Figure(figsize=(5.6, 4.4), dpi=100, layout="constrained")
         self._scene.get_layout_engine().set(rect=(0, 0, 0.93, 1))  # buttons are to the right
         self._scene_canvas = _canvas(self._scene)
-        self._clouds = ipywidgets.Dropdown(options=list(clouds), layout={"width": "20em"})
+        self._clouds = ipywidgets.Dropdown(
+            options=listed, description="cloud", layout={"width": "20em"}
+        )
         self._clouds.observe(lambda change: self.choose(change["new"]), names="value")
         self._list = ipywidgets.VBox(layout={"max_height": "400px", "display": "block"})
-        self.name, first = None, next(iter(clouds))
+        self.name, first = None, listed[0]
         self._enter(first, 0)
         super().__init__(self.surface(first), **choices)
 
@@ -385,6 +406,8 @@ class SurfaceTool(SelectionTool):
         place = np.where(self._owner < 0, -2, self._owner % len(TINTS))
         place[self._owner == plane] = -1
         self._scene_dots.set_facecolor(palette[place])
+        for number, button in enumerate(self._list.children):
+            button.icon = "check" if number == plane else ""
         self._scene.canvas.draw_idle()
 
     def _draw_scene(self):
@@ -408,7 +431,7 @@ class SurfaceTool(SelectionTool):
 
     def _button(self, row):
         """A button that chooses a plane."""
-        text = "{plane}: {area_m2:.1f} m², at {height_m:.1f} m, slope {slope_deg:.0f}°"
+        text = "{plane}: {area_m2:.1f} m², height {height_m:.1f} m, slope {slope_deg:.0f}°"
         button = ipywidgets.Button(description=text.format(**row), layout={"width": "20em"})
         button.style.button_color = TINTS[row["plane"] % len(TINTS)]
         button.on_click(lambda _: self.choose(row["cloud"], row["plane"]))

@@ -124,6 +124,13 @@ def test_without_a_screen_the_tool_is_two_pictures(clouds):
     assert said.getvalue().count("Figure(") == 2
 
 
-def test_a_cloud_without_planes_is_refused(rng):
+def test_a_cloud_without_planes_costs_the_others_nothing(clouds, rng):
+    thin = rng.uniform(0, 60, (500, 3)) * [1, 1, 0]  # a point in 7 m2
+    tool = widgets.SurfaceTool({"noise": rng.random((9, 3)), **clouds, "thin": thin}, size=2)
+    assert tool.missing == ["noise: no plane of 2 m or more."]
+    assert set(tool.planes["cloud"]) == {*clouds, "thin"}
+
+
+def test_clouds_without_planes_are_refused(rng):
     with pytest.raises(ValueError, match="Invalid cloud noise: no plane of 2 m"):
         widgets.SurfaceTool({"noise": rng.random((9, 3))}, size=2)
