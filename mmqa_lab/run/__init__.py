@@ -36,7 +36,10 @@ UNFINISHED = "stopped before its end"
 LONGEST_LATEX = 60
 
 # Signs that LaTeX's usual fonts lack.
-LATEX = str.maketrans({"≥": r"$\geq$", "≤": r"$\leq$", "−": "--", "→": r"$\to$"})
+LATEX = str.maketrans(
+    {"≥": r"$\geq$", "≤": r"$\leq$", "−": "--", "–": "--", "→": r"$\to$"}
+    | {"√": r"$\surd$", "ρ": r"$\rho$", "σ": r"$\sigma$", "λ": r"$\lambda$", "∞": r"$\infty$"}
+)
 
 # Kinds of numbers. Published numbers are printed in a source. Predicted numbers follow from
 # specifications alone. Fitted numbers follow from parameters that were chosen to come close to
