@@ -87,7 +87,8 @@ def selected(surface, seed, *, click_m=0.015, vertices=4, axes="principal"):
     choices = {"repeats": 1, "click": click_m, "seed": seed, "vertices": vertices}
     polygon = operator_polygons(surface.corners, **choices)[0]
     quality = evaluate_cloud(surface.points, polygon=polygon, axes=axes)
-    return quality.to_frame()[list(FIGURES)].iloc[0].to_dict()
+    known = {f"d{k}_mm": distance for k, distance in enumerate(quality.d_mm, 1)}
+    return {name: known[name] if name in known else getattr(quality, name) for name in FIGURES}
 
 
 def operators(click_m=0.015):
