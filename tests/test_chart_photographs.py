@@ -8,6 +8,7 @@ from rendered import step_seen_by_pixel
 
 from mmqa_lab import chart_image, charts
 from mmqa_lab.chart_image.placing import align
+from mmqa_lab.studies.chart_images import photo_case
 
 CHART = charts.imaging_chart()
 
@@ -162,3 +163,16 @@ def test_of_two_charts_the_larger_is_measured_and_both_are_said(other_mm):
     assert there.pixel_sizes_mm([[500, 500]]) == pytest.approx(4.0, rel=0.02)
     # coded targets of 12 mm pixels cannot be decoded: nothing confuses the larger chart
     assert there.charts == 1 + (other_mm < 12)
+
+
+def test_a_flat_chart_of_other_pairs_gets_no_bend():
+    kept = [one for one in charts.imaging_chart().elements if one.name.startswith(("bar_", "mark"))]
+    x, y, pairs = 200.0, 90.0, []
+    for width in (50.0, 42.0, 35.0, 30.0, 25.0, 21.0, 17.5, 15.0, 12.5, 10.5, 9.0):
+        x, y = (x, y) if y + 8 * width < 980 else (x + 100, 90.0)
+        pairs.append(charts.LinePairs(f"pairs_v_{width:g}", x, y, width, "v"))
+        y += 8 * width + 20
+    layout = charts.Layout("finer steps", 1000, 1000, (*kept, *pairs))
+    seen, _ = photo_case("C", 5.0, "orthogonal", seed=1, layout=layout)
+    assert seen.chart_map.bend is None
+    assert seen.resolution("v").width_mm == 10.5

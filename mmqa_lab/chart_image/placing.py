@@ -465,24 +465,33 @@ def align(image, layout, chart_map):
     True
     """
     image = check_image(image)
-    pixel_mm = float(np.median(chart_map.pixel_sizes_mm(layout.corners())))
-    finest = min(int(layout.width / pixel_mm), FINEST)
-    chart_map = _bent(image, layout, chart_map, min(30, finest))
-    for along in sorted({min(60, finest), min(160, finest)}):
-        chart_map, _ = _compared(image, layout, chart_map, along)
-        chart_map = _bent(image, layout, chart_map, along)
-    chart_map, finest = _straight(chart_map, layout), max(finest, 12)
-    tried = [(*_compared(image, layout, chart_map, finest, blur), blur) for blur in SIGMAS_PX]
-    chart_map, correlation, blur = max(tried, key=lambda result: result[1])
-    chart_map = _straight(_bent(image, layout, chart_map, finest, blur), layout)
-    correlation = _correlation(*_framed(image, layout, chart_map, finest, blur)[:3])
+    found, correlation = _aligned(image, layout, chart_map, _bent)
+    if found.bend is not None:  # it must show the print better than a homography alone
+        plain, alone = _aligned(image, layout, chart_map, lambda _, __, kept, *___: kept)
+        found, correlation = (plain, alone) if alone >= correlation else (found, correlation)
     if not correlation >= SMALLEST_CORRELATION:
         raise ValueError(
             f"Invalid place of the chart: its print correlates by {correlation:.2f} with the "
             f"image. Must be {SMALLEST_CORRELATION} or more; is the chart there, not mirrored, "
             "and are its lines straight?"
         )
-    return replace(chart_map, source=f"{chart_map.source}, aligned")
+    return replace(found, source=f"{found.source}, aligned")
+
+
+def _aligned(image, layout, chart_map, bent):
+    """An aligned map, with what ``bent`` adds to a homography, and its correlation."""
+    pixel_mm = float(np.median(chart_map.pixel_sizes_mm(layout.corners())))
+    finest = min(int(layout.width / pixel_mm), FINEST)
+    chart_map = bent(image, layout, chart_map, min(30, finest))
+    for along in sorted({min(60, finest), min(160, finest)}):
+        chart_map, _ = _compared(image, layout, chart_map, along)
+        chart_map = bent(image, layout, chart_map, along)
+    chart_map, finest = _straight(chart_map, layout), max(finest, 12)
+    tried = [(*_compared(image, layout, chart_map, finest, blur), blur) for blur in SIGMAS_PX]
+    chart_map, correlation, blur = max(tried, key=lambda result: result[1])
+    chart_map = _straight(bent(image, layout, chart_map, finest, blur), layout)
+    correlation = _correlation(*_framed(image, layout, chart_map, finest, blur)[:3])
+    return chart_map, correlation
 
 
 def _compared(image, layout, chart_map, along, sigma_px=SIGMAS_PX[0]):
