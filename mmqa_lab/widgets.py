@@ -309,15 +309,15 @@ class SelectionTool:
 
 
 def _planes_of(points, tolerance, size):
-    """The planes of a cloud; of a thin cloud those of the least size, doubled, that it has."""
-    found, largest = [], np.ptp(points, axis=0).max()
-    while not found:
-        with warnings.catch_warnings(action="ignore"):
-            found = detect_planes(points, tolerance=tolerance, size=size)
+    """The planes of a cloud, of a size doubled until the cloud is dense enough and has some."""
+    largest = max(size, np.ptp(points, axis=0).max())
+    while size <= largest:
+        with contextlib.suppress(UserWarning), warnings.catch_warnings():
+            warnings.simplefilter("error", UserWarning)  # too thin for this size
+            if found := detect_planes(points, tolerance=tolerance, size=size):
+                return found
         size *= 2
-        if size > largest:
-            break
-    return found
+    return []
 
 
 class SurfaceTool(SelectionTool):
