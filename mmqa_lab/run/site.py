@@ -61,7 +61,10 @@ def write_site(folder, notebooks, studies):
     write_words(folder)
     ledger = notebooks / LEDGER
     if ledger.is_file():
-        write_ledger(folder / "ledger.html", pd.read_csv(ledger, keep_default_na=False))
+        rows = pd.read_csv(ledger, dtype={"printed": str})
+        texts = rows.select_dtypes(exclude=["number", "bool"]).columns
+        rows[texts] = rows[texts].fillna("")
+        write_ledger(folder / "ledger.html", rows)
     home = filled(
         "site.html",
         studies=studies,
