@@ -169,11 +169,13 @@ def test_each_selection_is_evaluated_as_study_01_does(rng):
 @pytest.mark.parametrize(
     ("call", "said"),
     [
-        (lambda t: repeatability(t, "g"), r"Invalid table: no column 'g'\."),
+        (lambda t: repeatability(t, "g"), r"Invalid table: no column 'g' beside scan, f\."),
         (lambda t: variance_components(t, "g", factors=["scan"]), "no column 'g'"),
         (lambda t: variance_components(t, "f", factors=["head"]), "no column 'head'"),
         (
-            lambda t: operator_polygons(np.eye(5, 3), repeats=1, click=0.1, seed=1),
+            lambda t: operator_polygons(
+                np.eye(5, 3) + np.eye(5, 3, -2), repeats=1, click=0.1, seed=1
+            ),
             r"Invalid corners: 5 given\. Must be four",
         ),
     ],
