@@ -648,7 +648,10 @@ def _remark_on_form(xy, residuals_mm, step_mm, scale):
     within = residuals_mm - (np.bincount(block, residuals_mm) / counts)[block]
     # the means of the blocks take a part of the noise
     noise_mm = sigma_mad(within, scale) * (len(xy) / (len(xy) - len(counts))) ** 0.5
-    if noise_mm**2 > (1 - BENT) * sigma_mad(residuals_mm, scale) ** 2:
+    all_mm = sigma_mad(residuals_mm, scale)
+    # of few points a median halves by chance, so the variance without outliers must agree
+    form = np.bincount(block, np.clip(residuals_mm, -3 * all_mm, 3 * all_mm)) / counts
+    if noise_mm**2 > (1 - BENT) * all_mm**2 or np.var(form[block]) < BENT / 2 * all_mm**2:
         return []
     return [
         "The surface is stepped or uneven: most of its distances from the plane are its form. "

@@ -131,7 +131,7 @@ def test_photographs_without_a_chart_cost_the_others_nothing(tmp_path):
     assert rows["file"].tolist() == ["wall.png", "chart_photo.jpg", "none.jpg"]
     assert rows["pixel_v_mm"].notna().tolist() == [False, True, False]
     assert "long bars found" in rows["remark"][0]
-    with pytest.raises(ValueError, match=r"wall\.png: .* long bars found"):
+    with pytest.raises(ValueError, match=r"wall\.png, image: .* long bars found"):
         surveys.image([wall, wall])
 
 

@@ -47,7 +47,9 @@ def test_flat_ground_in_degrees_is_said():
 
 
 def test_sample_clouds_are_in_metres():
-    for name in samples.SAMPLES:
+    clouds = [name for name in samples.SAMPLES if samples.path(name).suffix == ".laz"]
+    assert len(clouds) == 3
+    for name in clouds:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             assert unit_remarks(read_cloud(samples.path(name))) == []

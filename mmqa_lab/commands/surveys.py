@@ -74,7 +74,10 @@ def _each(files, unit, measured, *, column="file", remark="remarks"):
         table.insert(0, column, file.name)
         tables.append(table)
     if len(errors) == len(files):
-        raise errors[0]
+        said = sentence_of(errors[0], files[0])
+        if files[0].name not in said:
+            said = said.replace("Invalid", f"Invalid {files[0].name},", 1)
+        raise ValueError(said) from errors[0]
     whole = pd.concat(tables, ignore_index=True)
     whole.attrs["failed"] = len(errors)
     return whole
