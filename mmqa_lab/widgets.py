@@ -11,6 +11,7 @@ import threading
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,7 @@ from scipy import ndimage
 from mmqa_lab import plots
 from mmqa_lab._checks import check_choice, check_points, check_polygon
 from mmqa_lab._figures import finish_figure
-from mmqa_lab.chart_cloud import evaluate_cloud
+from mmqa_lab.chart_cloud import evaluate_cloud, inside_polygon
 from mmqa_lab.chart_image.rules import MARKS, check_marks
 from mmqa_lab.charts import encode
 from mmqa_lab.io import write_atomically
@@ -49,13 +50,22 @@ MEANINGS = {"a": "a: every letter", "b": "b: the text", "c": "c: not legible"}
 WIDEST_PX, LARGEST_ZOOM = 800, 12
 
 # Margins of the tool's figure, as shares of it, and between its panels, as shares of a panel.
-MARGINS = {"left": 0.07, "right": 0.98, "bottom": 0.11, "top": 0.88, "wspace": 0.15, "hspace": 1}
+MARGINS = {"left": 0.07, "right": 0.98, "bottom": 0.11, "top": 0.88, "wspace": 0.25, "hspace": 1}
 
 # Most points drawn, and most planes listed, those with the most points first. All are used.
 SHOWN, LISTED = 10_000, 12
 
+# A plane longer than so many times its width is shown through a window of this ratio, of at least
+# so large a share of the plane.
+WINDOW, LEAST_WINDOW = 2.5, 0.05
+
+# Largest distance of a click from a point of the plane that it chooses, pixels.
+NEAR_PX = 10
+
 # Colours of the other planes in the picture and in the list.
 TINTS = ("#56B4E9", "#009E73", "#E69F00", "#CC79A7", "#F0E442", "#999999")
+
+WIDE = {"width": "20em"}
 
 AXES = ("easting", "northing", "height")
 
@@ -179,7 +189,10 @@ class SelectionTool:
         The points of a surface and its surroundings, m.
     polygon : array_like, shape (m, 3), optional
         The first polygon, m; by default the largest rectangle without gaps, see
-        :func:`largest_rectangle`.
+        :func:`largest_rectangle`. A long surface is shown through a window that a slider moves;
+        the first polygon lies in it.
+    detail : float, optional
+        Mark the places that would not show a detail of this size, m, by three points.
     **choices
         Arguments of :func:`mmqa_lab.chart_cloud.evaluate_cloud`, such as thickness and axes.
 
@@ -205,8 +218,16 @@ class SelectionTool:
     2.0
     """
 
-    def __init__(self, points: ArrayLike, *, polygon: ArrayLike | None = None, **choices: Any):
+    def __init__(
+        self,
+        points: ArrayLike,
+        *,
+        polygon: ArrayLike | None = None,
+        detail: float | None = None,
+        **choices: Any,
+    ):
         self.choices, self.quality, self._followers = choices, None, []
+        self._detail, self._written = detail, ""
         self.text = ipywidgets.HTML()
         self.figure = Figure(figsize=(8.4, 4.3), dpi=100, layout="none")
         axes = self.figure.subplot_mosaic("ab;ac", width_ratios=(1.8, 1), gridspec_kw=MARGINS)
@@ -214,7 +235,12 @@ class SelectionTool:
         self._map.set(xlabel="along axis 1 (m)", ylabel="along axis 2 (m)", aspect="equal")
         self._dots = self._map.scatter([], [], s=3, lw=0, c=[], cmap=plots.DIVERGING_MAP)
         self.figure.colorbar(self._dots, ax=self._map, label="distance from plane (mm)", pad=0.03)
+        (self._missed,) = self._map.plot([], [], ".", ms=1, color=plots.COLOURS["vermilion"])
         self.canvas = _canvas(self.figure)
+        self._controls = self._corners, self._undo, self._place = _polygon_controls()
+        self._corners.observe(lambda change: self._type(change["new"]), names="value")
+        self._undo.on_click(lambda _: self.undo())
+        self._place.observe(lambda change: self._slide(change["new"]), names="value")
         look = {"color": plots.COLOURS["green"], "linewidth": 2}
         self._selector = PolygonSelector(self._map, self._moved, props=look)
         self.show(points, polygon)
@@ -228,17 +254,67 @@ class SelectionTool:
             plane = replace(plane, axes=plane.horizontal_axes())
         self.frame = plane
         self._dots.set_offsets(plane.project(self._drawn))
-        xy = plane.project(self.points)
-        limits = np.column_stack([xy.min(axis=0), xy.max(axis=0)])
-        limits += 0.05 * np.ptp(limits, axis=1).max() * np.array([-1, 1])
-        self._map.set(xlim=limits[0], ylim=limits[1])
-        _forget_zoom(self.figure)
-        self.select(self._to_space(largest_rectangle(xy)) if polygon is None else polygon)
+        self._xy, self._past = plane.project(self.points), []
+        extent = np.ptp(self._xy, axis=0)
+        self._along, length = extent.argmax(), extent.max()
+        window = min(length, max(WINDOW * extent.min(), LEAST_WINDOW * length))
+        self._reach = 0.5 * window
+        self._place.layout.display = None if window < length else "none"
+        self._look(self._xy[:, self._along])
+        self._slide(self._place.value) if polygon is None else self.select(polygon)
 
     def select(self, polygon: ArrayLike) -> None:
         """Move the polygon, shape (m, 3), m, and evaluate the selected points."""
-        self._selector.verts = self.frame.project(check_polygon(polygon)).tolist()
+        xy = self.frame.project(check_polygon(polygon))
+        if 2 * self._reach < np.ptp(self._xy[:, self._along]):
+            self._look(xy[:, self._along])
+        self._selector.verts = xy.tolist()
         self._moved(self._selector.verts)
+
+    @_in_turn()
+    def undo(self) -> None:
+        """Return to the polygon before the last change on this plane."""
+        if len(self._past) > 1:
+            self._past.pop()
+            self.select(self._past.pop())
+
+    def selected(self) -> np.ndarray:
+        """Return the mask of the selected points, shape (n,)."""
+        thickness = self.choices.get("thickness", 0.1)
+        return inside_polygon(self.points, self.vertices, thickness=thickness)
+
+    @_in_turn()
+    def _type(self, text):
+        """Move the polygon to typed corners; a text that is none becomes a sentence."""
+        if text == self._written:
+            return
+        try:
+            pairs = [
+                [float(part) for part in pair.split(",")] for pair in text.strip("; ").split(";")
+            ]
+            self.select(self._to_space(np.reshape(pairs, (len(pairs), 2))))
+        except ValueError:
+            wanted = "Must be x, y; x, y; x, y; ... in metres, at least three."
+            self.text.value = f"<b>Invalid corners {escape(text)}. {wanted}</b>"
+
+    @_in_turn()
+    def _slide(self, share):
+        """Move the window to a share of a long plane and draw the first polygon in it."""
+        along = self._xy[:, self._along]
+        ends = along.min() + self._reach, along.max() - self._reach
+        off = np.abs(along - np.interp(share, (0, 1), ends))
+        here = self._xy[off <= max(self._reach * (1 + 1e-9), np.partition(off, 2)[2])]
+        self.select(self._to_space(largest_rectangle(here)))
+
+    def _look(self, along):
+        """Show the window around places along the plane, or all of it if it is short."""
+        limits = np.column_stack([self._xy.min(axis=0), self._xy.max(axis=0)])
+        if np.ptp(along) < np.ptp(limits[self._along]):
+            centre = (along.min() + along.max()) / 2
+            limits[self._along] = centre + max(self._reach, np.ptp(along) / 2) * np.array([-1, 1])
+        limits += 0.05 * np.ptp(limits, axis=1).max() * np.array([-1, 1])
+        self._map.set(xlim=limits[0], ylim=limits[1])
+        _forget_zoom(self.figure)
 
     def follow(self, function: Callable | None = None, *, button: str = "") -> Callable:
         """Call a function with this tool now and after every change of the selection.
@@ -273,7 +349,8 @@ class SelectionTool:
         if is_headless():
             display(*self._pictures(), HTML(self.text.value))
         else:
-            display(ipywidgets.VBox([*self._pictures(), self.text]))
+            controls = ipywidgets.HBox(self._controls)
+            display(ipywidgets.VBox([*self._pictures(), controls, self.text]))
 
     def _pictures(self):
         """What is shown above the line of text."""
@@ -283,7 +360,18 @@ class SelectionTool:
         """The main figures in one line."""
         density, sigma = self.quality.density_polygon_per_m2, self.quality.sigma_mad_mm
         figures = f"{density:.0f} points/m², sigma_MAD {sigma:.2f} mm, f {self.quality.f:.2f}"
-        return f"{self.quality.n} points, {figures}"
+        return f"{self.quality.n} points, {figures}{self._details()}"
+
+    def _details(self):
+        """Mark the places that would not show a detail; what is said of them."""
+        if self._detail is None:
+            return ""
+        share, missed = self.quality.details(self._detail)
+        plane, what = self.quality.plane, f"a detail of {1000 * self._detail:g} mm"
+        self._missed.set_data(self.frame.project(plane.centre + missed @ plane.axes).T)
+        if np.isnan(share):
+            return f"; {what} does not fit into the polygon"
+        return f"; {100 * share:.1f} % of its places would show {what}, the red ones would not"
 
     def _to_space(self, xy):
         """Coordinates in space of points in the picture, shape (n, 3), m."""
@@ -293,6 +381,11 @@ class SelectionTool:
     def _moved(self, vertices):
         """Evaluate and draw the selection again after a change of the polygon."""
         self.vertices = self._to_space(vertices)
+        if not self._past or not np.array_equal(self._past[-1], self.vertices):
+            self._past.append(self.vertices)
+        self._written = "; ".join(f"{x:.3f}, {y:.3f}" for x, y in vertices)
+        self._corners.value = self._written
+        self._missed.set_data([], [])
         for panel in self._panels:
             panel.clear()
         try:
@@ -370,15 +463,13 @@ class SurfaceTool(SelectionTool):
                 rows.append({"cloud": name, "plane": number, **_described(patch, points)})
         listed = [name for name, patches in self._patches.items() if patches]
         if not listed:
-            sentence = f"Invalid cloud {next(iter(clouds))}: no plane of {size} m. Must have one."
-            raise ValueError(sentence)
+            raise ValueError(f"Invalid cloud {self.missing[0]} Must have a plane.")
         self.planes = pd.DataFrame(rows)
         self._scene = Figure(figsize=(5.6, 4.4), dpi=100, layout="constrained")
         self._scene.get_layout_engine().set(rect=(0, 0, 0.93, 1))  # buttons are to the right
         self._scene_canvas = _canvas(self._scene)
-        self._clouds = ipywidgets.Dropdown(
-            options=listed, description="cloud", layout={"width": "20em"}
-        )
+        self._scene.canvas.mpl_connect("button_press_event", self._clicked)
+        self._clouds = ipywidgets.Dropdown(options=listed, description="cloud", layout=WIDE)
         self._clouds.observe(lambda change: self.choose(change["new"]), names="value")
         self._list = ipywidgets.VBox(layout={"max_height": "400px", "display": "block"})
         self.name, first = None, listed[0]
@@ -408,6 +499,7 @@ class SurfaceTool(SelectionTool):
         self._scene_dots.set_facecolor(palette[place])
         for number, button in enumerate(self._list.children):
             button.icon = "check" if number == plane else ""
+        self._scene.axes[0].set_title(f"{self.name}, plane {plane}")
         self._scene.canvas.draw_idle()
 
     def _draw_scene(self):
@@ -432,10 +524,19 @@ class SurfaceTool(SelectionTool):
     def _button(self, row):
         """A button that chooses a plane."""
         text = "{plane}: {area_m2:.1f} m², height {height_m:.1f} m, slope {slope_deg:.0f}°"
-        button = ipywidgets.Button(description=text.format(**row), layout={"width": "20em"})
+        button = ipywidgets.Button(description=text.format(**row), layout=WIDE)
         button.style.button_color = TINTS[row["plane"] % len(TINTS)]
         button.on_click(lambda _: self.choose(row["cloud"], row["plane"]))
         return button
+
+    def _clicked(self, event):
+        """Choose the plane of the point nearest to a click; a click that zooms chooses nothing."""
+        if event.inaxes is None or getattr(event.canvas.toolbar, "mode", ""):
+            return
+        pixels = event.inaxes.transData.transform(self._scene_dots.get_offsets())
+        away = np.where(self._owner < 0, np.inf, np.hypot(*(pixels - (event.x, event.y)).T))
+        if away.min() <= NEAR_PX:
+            self.choose(self.name, int(self._owner[away.argmin()]))
 
     def _pictures(self):
         """The picture and the list above the polygon."""
@@ -459,6 +560,19 @@ def _forget_zoom(figure):
     """Let the button home of a canvas return to the present view."""
     if figure.canvas.toolbar is not None:
         figure.canvas.toolbar.update()
+
+
+def _polygon_controls():
+    """A text for the corners, a button that undoes, a slider that moves the window."""
+    told = "Corners of the polygon along the axes of the picture: x, y; x, y; ..."
+    corners = ipywidgets.Text(
+        description="corners (m)", tooltip=told, continuous_update=False, layout={"width": "36em"}
+    )
+    undo = ipywidgets.Button(description="Undo", tooltip="Return to the polygon before")
+    told = "Move the window along the plane, and draw a first polygon in it"
+    looks = {"description": "window", "tooltip": told, "readout": False}
+    place = ipywidgets.FloatSlider(0.5, max=1, step=0.05, continuous_update=False, **looks)
+    return corners, undo, place
 
 
 def _canvas(figure):

@@ -41,7 +41,71 @@ def test_the_first_polygon_is_upright_and_nearly_the_whole_wall(wall):
 def test_the_first_rectangle_follows_a_strip(rng):
     strip = rng.uniform(-1, 1, (20_000, 3)) * [20, 1, 0]
     turned = strip @ [[0.8, 0.6, 0], [-0.6, 0.8, 0], [0, 0, 1]]
-    assert widgets.SelectionTool(turned).quality.area_polygon_m2 > 0.8 * 80
+    tool = widgets.SelectionTool(turned)
+    assert tool.quality.area_polygon_m2 > 0.9 * 2 * widgets.WINDOW * 2  # all of the window
+    box = tool._map.get_window_extent()
+    height = np.ptp(tool._map.transData.transform(tool._selector.verts), axis=0)[1]
+    assert height > 0.3 * box.width  # high enough to draw on
+    assert tool._place.layout.display is None
+    centres = []
+    for share in (0, 1):  # the window moves from end to end, a polygon in each
+        tool._place.value = share
+        centres.append(tool.vertices.mean(axis=0))
+        (low, high), x = tool._map.get_xlim(), np.array(tool._selector.verts)[:, 0]
+        assert low < x.min() < x.max() < high
+    assert np.linalg.norm(centres[1] - centres[0]) == pytest.approx(40 - 5, abs=0.5)
+
+
+def test_a_long_polygon_is_shown_whole(rng):
+    strip = rng.uniform(-1, 1, (20_000, 3)) * [20, 1, 0]
+    drawn = [[-15, -0.5, 0], [15, -0.5, 0], [15, 0.5, 0], [-15, 0.5, 0]]
+    tool = widgets.SelectionTool(strip, polygon=drawn)
+    assert tool.quality.area_polygon_m2 == pytest.approx(30, abs=0.1)
+    assert np.ptp(tool._map.get_xlim()) > 30
+
+
+def test_corners_are_typed_undone_and_kept_as_points(wall, screen):
+    tool = widgets.SelectionTool(wall)
+    first, corners = tool.vertices, tool._corners.value
+    assert len(corners.split(";")) == 4
+    tool._corners.value = "-0.5, -0.5; 0.5, -0.5; 0.5, 0.5; -0.5, 0.5;"
+    assert tool.quality.area_polygon_m2 == pytest.approx(1)
+    assert tool.selected().sum() == tool.quality.n
+    assert tool.quality.n == evaluate_cloud(tool.points[tool.selected()]).n
+    tool._corners.value = "0, 0; 1, 1; 1, 0"
+    tool._undo.click()
+    assert tool.quality.area_polygon_m2 == pytest.approx(1)
+    tool._undo.click()
+    assert np.allclose(tool.vertices, first, atol=1e-6)
+    assert tool._corners.value == corners
+    tool._undo.click()  # nothing is left to undo
+    assert tool._corners.value == corners
+
+
+@pytest.mark.parametrize(
+    "text", ["", "0, 0; 1, 1", "0, 0; 1, b; 2, 0", "0, 0, 0; 1, 1, 1; 1, 0, 2"]
+)
+def test_typed_corners_that_are_none_are_a_sentence_and_change_nothing(wall, screen, text):
+    tool = widgets.SelectionTool(wall)
+    before = tool.quality
+    tool._corners.value = text
+    assert f"Invalid corners {text}. Must be" in tool.text.value
+    assert tool.quality is before
+
+
+def test_places_that_would_not_show_a_detail_are_marked(screen):
+    x, y = np.meshgrid(np.arange(0, 2, 0.005), np.arange(0, 2, 0.06))  # lines 6 cm apart
+    x, y = x[(y < 1) | (y > 1.3)], y[(y < 1) | (y > 1.3)]
+    points = np.stack([x, y, 0 * x], axis=1)
+    square = [[0, 0, 0], [2, 0, 0], [2, 1.9, 0], [0, 1.9, 0]]
+    tool = widgets.SelectionTool(points, polygon=square, detail=0.05)
+    share, missed = tool.quality.details(0.05)
+    assert f"{100 * share:.1f} % of its places would show a detail of 50 mm" in tool.text.value
+    marked = tool._to_space(np.transpose(tool._missed.get_data()))
+    assert len(marked) == len(missed)
+    assert np.mean((marked[:, 1] > 1) & (marked[:, 1] < 1.3)) > 0.4  # the gap
+    tool._corners.value = "0, 0; 0.02, 0; 0, 0.02"
+    assert not len(tool._missed.get_data()[0])
 
 
 def test_a_dragged_corner_changes_everything_that_follows(wall, screen):
@@ -113,6 +177,23 @@ def test_a_click_in_the_list_chooses_a_plane_of_any_cloud(clouds, screen):
     tool._scene.draw_without_rendering()
     ticks = [text.get_text() for text in tool._scene.axes[0].get_xticklabels()]
     assert min(map(float, ticks)) > 499_000  # easting as it is
+
+
+def test_a_click_in_the_picture_chooses_the_plane_there(clouds, screen):
+    tool = widgets.SurfaceTool(clouds, size=2)
+    tool._scene.draw_without_rendering()
+    ax, places = tool._scene.axes[0], tool._scene_dots.get_offsets()
+    owned = np.flatnonzero(tool._owner == 1)
+    on = owned[np.abs(places[owned] - places[owned].mean(axis=0)).sum(axis=1).argmin()]
+    x, y = ax.transData.transform(places[on])
+    number = int(tool._owner[np.hypot(*(places - places[on]).T).argmin()])
+    tool._scene_canvas.toolbar.mode = "zoom rect"
+    MouseEvent("button_press_event", tool._scene_canvas, x, y, button=1)._process()
+    assert tool.number == 0
+    tool._scene_canvas.toolbar.mode = ""
+    MouseEvent("button_press_event", tool._scene_canvas, x, y, button=1)._process()
+    assert tool.number == number
+    assert [button.icon for button in tool._list.children] == ["", "check"]
 
 
 def test_without_a_screen_the_tool_is_two_pictures(clouds):
