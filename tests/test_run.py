@@ -43,6 +43,22 @@ def test_the_record_is_written_with_every_file(run):
     assert macro == "\\newcommand{\\mmqaFTwoOfA}{3.257} % 1, predicted"
 
 
+def test_runs_by_hand_on_other_files_or_in_other_notebooks_do_not_meet(tmp_path, monkeypatch):
+    monkeypatch.delenv("MMQA_RESULTS", raising=False)
+    monkeypatch.chdir(tmp_path)
+    folders = []
+    for session in ("one.ipynb", "copy.ipynb"):
+        monkeypatch.setenv("JPY_SESSION_NAME", session)
+        for files in (["a/wall.laz"], ["b/wall.laz"], ["a/wall.laz", "b/wall.laz"], []):
+            made = [Run("cloud", parameters={}, files=files).folder for _ in range(2)]
+            assert made[0] == made[1]  # the same again replaces its own results
+            folders.append(made[0])
+    assert len(set(folders)) == 7  # without files the study's own folder
+    assert sum(folder.name.startswith("wall_") for folder in folders) == 6
+    monkeypatch.setenv("MMQA_RESULTS", str(tmp_path))
+    assert Run("cloud", parameters={}, files=["a/wall.laz"]).folder == tmp_path / "cloud"
+
+
 def test_parameters_are_those_of_the_notebooks_cell(tmp_path, monkeypatch):
     monkeypatch.setenv("MMQA_RESULTS", str(tmp_path / "results"))
     monkeypatch.chdir(tmp_path)

@@ -9,6 +9,8 @@ import json
 import os
 import platform
 import re
+import zlib
+from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -65,6 +67,9 @@ class Run:
         The notebook's ``globals()``. The record keeps the parameters of the notebook
         ``*<stem>*.ipynb`` in the working folder: the names that its cell tagged ``parameters``
         sets.
+    files : sequence of path
+        The reader's own files. Runs by hand on other files, or in another notebook, then write to
+        other folders within ``<stem>/``, named by the first file.
 
     Examples
     --------
@@ -78,8 +83,14 @@ class Run:
     >>> del os.environ["MMQA_RESULTS"]
     """
 
-    def __init__(self, stem: str, *, parameters: dict[str, Any]):
+    def __init__(
+        self, stem: str, *, parameters: dict[str, Any], files: Sequence[str | os.PathLike] = ()
+    ):
         self.folder = Path(os.environ.get("MMQA_RESULTS", Path.cwd() / "results/by_hand")) / stem
+        if files and "MMQA_RESULTS" not in os.environ:
+            paths = [Path(file).resolve() for file in files]
+            told_apart = [os.environ.get("JPY_SESSION_NAME", ""), *map(str, paths)]
+            self.folder /= f"{paths[0].stem}_{zlib.crc32(chr(10).join(told_apart).encode()):08x}"
         self._values, self._kinds, self._checks = {}, {}, {}
         notebooks = sorted(Path.cwd().glob(f"*{stem}*.ipynb"))
         names = parameter_names(notebooks[0]) if notebooks else []
