@@ -29,4 +29,6 @@ def moved(old, new):
 
 
 if __name__ == "__main__":
-    print(*moved(*map(Path, sys.argv[1:3])), sep="\n")
+    if len(sys.argv) != 3:
+        sys.exit(__doc__)
+    print(*moved(*map(Path, sys.argv[1:])), sep="\n")
