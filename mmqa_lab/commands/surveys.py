@@ -75,7 +75,7 @@ def _each(files, unit, measured, *, column="file", remark="remarks"):
         tables.append(table)
     if len(errors) == len(files):
         said = sentence_of(errors[0], files[0])
-        if files[0].name not in said:
+        if len(files) > 1 and files[0].name not in said:
             said = said.replace("Invalid", f"Invalid {files[0].name},", 1)
         raise ValueError(said) from errors[0]
     whole = pd.concat(tables, ignore_index=True)
