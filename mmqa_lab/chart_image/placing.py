@@ -10,12 +10,14 @@ then say where it is.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import combinations
 
 import cv2
 import numpy as np
+from numpy.polynomial.polynomial import polyval2d, polyvander2d
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
@@ -46,14 +48,18 @@ GLANCE_CELLS = 80
 SIGMAS_PX = (0.6, 1.2, 2.0)
 """Point spreads of the print, pixel included, in the alignment: the one that fits best counts."""
 
-FINEST = 800
-"""Cells along a side at most."""
+MIDDLE, FINEST = 160, 800
+"""Cells along a side, on the way and at most."""
 
-LIGHT_MM, SPREADS = 60.0, 3.0
-"""Reach of local means and spreads; number of spreads to which larger values are cut."""
+LIGHT, LIGHT_CELLS, SPREADS = 0.06, 100, 3.0
+"""Reach of local means and spreads over the chart's side, and the cells a side on which they are
+taken; number of spreads to which larger values are cut."""
 
 BLOCKS = 20
 """Blocks along a side of the chart in which the alignment looks for bent lines."""
+
+CUBIC = [4 * i + j for i in range(4) for j in range(4 - i)]
+"""Products of powers of x and y up to the third, of the sixteen up to x^3 y^3."""
 
 BEND_GAIN, BEND_PX = 14.0, 0.4
 """How many times more than chance a bend must explain, and how far it must reach, to count."""
@@ -122,8 +128,8 @@ class Bend:
     ----------
     size : (float, float)
         Width and height of the chart, mm.
-    terms : array, shape (10, 2)
-        Displacement in x and y, mm, for each product of powers of x and y from -1 to 1.
+    terms : array, shape (4, 4, 2)
+        Displacement in x and y, mm, for each power of x and of y, which run from -1 to 1.
     """
 
     size: tuple
@@ -131,7 +137,7 @@ class Bend:
 
     def at(self, xy):
         """Displacement at places, mm, shape (n, 2); it ends a quarter beyond the chart."""
-        return _powers(xy, self.size) @ self.terms
+        return polyval2d(*_unit(xy, self.size), self.terms).T
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,20 +226,20 @@ class ChartMap:
     def pixels(self, xy: ArrayLike) -> np.ndarray:
         """Return the pixels of chart places, shape (n, 2)."""
         xy = xy if self.bend is None else xy + self.bend.at(xy)
-        rays = np.column_stack([xy, np.ones(len(xy))]) @ self.matrix.T
         if self.camera is None:
-            return rays[:, :2] / rays[:, 2:] - self.offset
+            return _projected(self.matrix, xy) - self.offset
+        rays = np.column_stack([xy, np.ones(len(xy))]) @ self.matrix.T
         return self.camera.pixels(rays) - self.offset
 
     def chart(self, pixels: ArrayLike) -> np.ndarray:
         """Return the chart places of pixels, mm, shape (n, 2)."""
         pixels = np.asarray(pixels, dtype=float) + self.offset
+        back = np.linalg.inv(self.matrix)
         if self.camera is None:
-            rays = np.column_stack([pixels, np.ones(len(pixels))])
+            flat = _projected(back, pixels)
         else:
-            rays = self.camera.rays(pixels)
-        rays = rays @ np.linalg.inv(self.matrix).T
-        flat = rays[:, :2] / rays[:, 2:]
+            rays = self.camera.rays(pixels) @ back.T
+            flat = rays[:, :2] / rays[:, 2:]
         if self.bend is None:
             return flat
         places = flat - self.bend.at(flat)
@@ -261,10 +267,15 @@ class ChartMap:
         return 1 / np.linalg.norm(ends, axis=2).T
 
 
-def _powers(xy, size):
-    """Products of the powers of x and y up to the third, both -1 to 1 over the chart, (n, 10)."""
-    x, y = np.clip(2 * np.asarray(xy, dtype=float) / size - 1, -1.5, 1.5).T
-    return np.stack([x**k * y ** (n - k) for n in range(4) for k in range(n + 1)], axis=1)
+def _projected(matrix, xy):
+    """Plane places under a homography, shape (n, 2)."""
+    xy = np.array(xy, dtype=float).reshape(-1, 1, 2)
+    return cv2.perspectiveTransform(xy, matrix)[:, 0] if len(xy) else xy[:, 0]
+
+
+def _unit(xy, size):
+    """Places as x and y from -1 to 1 over the chart."""
+    return np.clip(2 * np.asarray(xy, dtype=float) / size - 1, -1.5, 1.5).T
 
 
 def _same_orientation(homography, xy):
@@ -353,10 +364,7 @@ def locate(
             return replace(chart_map, charts=sum(len(group) > 1 for group in groups))
         chart_map = _by_bars(grey, layout, times) if times == shrunk else None
         if chart_map is not None:
-            mesh = np.indices((5, 5)).reshape(2, -1).T / 4 * [layout.width, layout.height]
-            pixels = chart_map.pixels(mesh)
-            by_bars = ChartMap.from_points(mesh, pixels, source="long bars", **bent)
-            return replace(by_bars, charts=chart_map.charts)
+            return _plain(chart_map, layout, source="long bars", **bent)
     raise ValueError(
         f"Invalid image: {len(found)} of {len(markers)} coded targets and no long bars found. "
         "Must show the whole chart, not cut by the border, or its corners must be given."
@@ -464,11 +472,14 @@ def align(image, layout, chart_map):
     >>> bool(off.max() < 0.1)
     True
     """
-    image = check_image(image)
-    found, correlation = _aligned(image, layout, chart_map, _bent)
+    image = check_image(image).astype(np.float32)
+    found, correlation = _aligned(image, layout, chart_map, bent=True)
     if found.bend is not None:  # it must show the print better than a homography alone
-        plain, alone = _aligned(image, layout, chart_map, lambda _, __, kept, *___: kept)
-        found, correlation = (plain, alone) if alone >= correlation else (found, correlation)
+        level = _Level(image, layout, found, MIDDLE)
+        plain, alone = level.aligned(_plain(found, layout))
+        if alone > CERTAIN * level.correlation(found):
+            plain, alone = _aligned(image, layout, plain, bent=False)
+            found, correlation = (plain, alone) if alone >= correlation else (found, correlation)
     if not correlation >= SMALLEST_CORRELATION:
         raise ValueError(
             f"Invalid place of the chart: its print correlates by {correlation:.2f} with the "
@@ -478,66 +489,127 @@ def align(image, layout, chart_map):
     return replace(found, source=f"{found.source}, aligned")
 
 
-def _aligned(image, layout, chart_map, bent):
-    """An aligned map, with what ``bent`` adds to a homography, and its correlation."""
-    pixel_mm = float(np.median(chart_map.pixel_sizes_mm(layout.corners())))
-    finest = min(int(layout.width / pixel_mm), FINEST)
-    chart_map = bent(image, layout, chart_map, min(30, finest))
-    for along in sorted({min(60, finest), min(160, finest)}):
-        chart_map, _ = _compared(image, layout, chart_map, along)
-        chart_map = bent(image, layout, chart_map, along)
-    chart_map, finest = _straight(chart_map, layout), max(finest, 12)
-    tried = [(*_compared(image, layout, chart_map, finest, blur), blur) for blur in SIGMAS_PX]
-    chart_map, correlation, blur = max(tried, key=lambda result: result[1])
-    chart_map = _straight(bent(image, layout, chart_map, finest, blur), layout)
-    correlation = _correlation(*_framed(image, layout, chart_map, finest, blur)[:3])
-    return chart_map, correlation
+def _aligned(image, layout, chart_map, *, bent):
+    """An aligned map, a homography alone if it may not be bent, and its correlation."""
+    finest = min(int(layout.width / _pixel_mm(layout, chart_map)), FINEST)
+    for along in sorted({min(along, finest) for along in (30, 60, MIDDLE)}):
+        level = _Level(image, layout, chart_map, along)
+        if along > 30:
+            chart_map, _ = level.aligned(chart_map)
+        chart_map = level.bent(chart_map) if bent else chart_map
+    chart_map = _straight(chart_map, layout)
+    level = _Level(image, layout, chart_map, max(finest, 12))
+    chart_map, _ = level.aligned(chart_map)
+    blurred = [level.blurred(sigma) for sigma in SIGMAS_PX]
+    level = max(blurred, key=lambda level: level.correlation(chart_map))
+    chart_map, _ = level.aligned(chart_map)
+    chart_map = _straight(level.bent(chart_map) if bent else chart_map, layout)
+    return chart_map, level.correlation(chart_map)
 
 
-def _compared(image, layout, chart_map, along, sigma_px=SIGMAS_PX[0]):
-    """A map after OpenCV's enhanced correlation, and the correlation."""
-    printed, seen, trusted, cell, _ = _framed(image, layout, chart_map, along, sigma_px)
-    try:
-        _, warp = cv2.findTransformECC(
-            printed, seen, np.eye(3, dtype=np.float32), cv2.MOTION_HOMOGRAPHY, STOP, trusted, 1
-        )
-    except cv2.error:  # nothing in common
-        warp = np.eye(3)
-    size = {"dsize": seen.shape[::-1], "flags": cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP}
-    moved = cv2.warpPerspective(seen, warp, **size)
-    to_mm = np.array([[cell, 0, cell / 2], [0, cell, cell / 2], [0, 0, 1]])
-    change = to_mm @ warp @ np.linalg.inv(to_mm)
-    better = replace(chart_map, matrix=chart_map.matrix @ change)
-    return better, _correlation(moved, printed, trusted)
+def _pixel_mm(layout, chart_map):
+    """Millimetres of a pixel, in the median of the corners."""
+    return float(np.median(chart_map.pixel_sizes_mm(layout.corners())))
 
 
-def _correlation(seen, printed, trusted):
+class _Level:
+    """Print and photograph in the chart's frame, on so many cells a side.
+
+    Both are divided by their own local mean and spread, so that light and shadow do not count.
+    """
+
+    def __init__(self, image, layout, chart_map, along, sigma_px=SIGMAS_PX[0]):
+        outline, size = chart_map.outline(layout.corners()), np.array(image.shape[::-1])
+        self.layout, self.pixel_mm = layout, _pixel_mm(layout, chart_map)
+        self.cell = layout.width / along
+        soft = max(self.cell / self.pixel_mm / 2.5, 0.3)
+        # a homography may move by a tenth of the chart
+        margin = 3 * soft + 0.1 * np.ptp(outline, axis=0) + 2
+        first = np.clip(outline.min(axis=0) - margin, 0, size - 2).astype(int)
+        last = np.clip(outline.max(axis=0) + margin, first + 2, size).astype(int)
+        window = image[first[1] : last[1], first[0] : last[0]].astype(np.float32)
+        self.image = cv2.GaussianBlur(window, (0, 0), soft)
+        self.first, self.last = first, size - 1
+        self.printed, self.trusted = self._printed(sigma_px)
+        y, x = (np.indices(self.printed.shape) + 0.5) * self.cell
+        self.places = np.column_stack([x.ravel(), y.ravel()])
+
+    def _printed(self, sigma_px):
+        """The standardised print behind a point spread, and which cells may take part."""
+        printed = _print(self.layout, self.cell)
+        blur = np.hypot(sigma_px * self.pixel_mm / self.cell, 0.5)
+        trusted = _trusted(self.layout, self.pixel_mm, self.cell, printed.shape)
+        return _standardised(cv2.GaussianBlur(printed, (0, 0), blur)), trusted
+
+    def blurred(self, sigma_px):
+        """The level with another point spread of the print."""
+        other = copy(self)
+        other.printed, _ = self._printed(sigma_px)
+        return other
+
+    def seen(self, chart_map):
+        """The photograph as a map puts it, and which cells count."""
+        pixels = chart_map.pixels(self.places)
+        inside = ((pixels >= 0) & (pixels <= self.last)).all(axis=1).reshape(self.printed.shape)
+        pixels = np.float32(pixels - self.first).reshape(*self.printed.shape, 2)
+        how = {"interpolation": cv2.INTER_LINEAR, "borderMode": cv2.BORDER_REPLICATE}
+        seen = _standardised(cv2.remap(self.image, pixels, None, **how))
+        return seen, (self.trusted * inside).astype(np.uint8)
+
+    def correlation(self, chart_map):
+        """Of print and photograph."""
+        return _correlation(self.printed, *self.seen(chart_map))
+
+    def aligned(self, chart_map):
+        """A map after OpenCV's enhanced correlation, and the correlation."""
+        seen, trusted = self.seen(chart_map)
+        start = np.eye(3, dtype=np.float32)
+        try:
+            _, warp = cv2.findTransformECC(
+                self.printed, seen, start, cv2.MOTION_HOMOGRAPHY, STOP, trusted, 1
+            )
+        except cv2.error:  # nothing in common
+            warp = np.eye(3)
+        size = {"dsize": seen.shape[::-1], "flags": cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP}
+        moved = cv2.warpPerspective(seen, warp, **size)
+        half = self.cell / 2
+        to_mm = np.array([[self.cell, 0, half], [0, self.cell, half], [0, 0, 1]])
+        change = to_mm @ warp @ np.linalg.inv(to_mm)
+        better = replace(chart_map, matrix=chart_map.matrix @ change)
+        return better, _correlation(self.printed, moved, trusted)
+
+    def bent(self, chart_map):
+        """A map with the cubic displacement that print and photograph show, if they show one.
+
+        Blocks of the chart ask for shifts (Lucas and Kanade); those that differ from the print,
+        behind a post or at a shadow's edge, count little.
+        """
+        size = self.layout.width, self.layout.height
+        places = (np.indices((BLOCKS, BLOCKS))[::-1].reshape(2, -1).T + 0.5) / BLOCKS * size
+        design = polyvander2d(*_unit(places, size), (3, 3))[:, CUBIC]
+        for _ in range(8):
+            seen, trusted = self.seen(chart_map)
+            # close to the chart's edge, pixels see what is beyond
+            trusted[:2] = trusted[-2:] = trusted[:, :2] = trusted[:, -2:] = 0
+            change, gain = _shifts(self.printed, seen, trusted, design)
+            far = np.abs(design @ change).max() * self.cell / max(self.pixel_mm, self.cell)
+            if chart_map.bend is None and (gain < BEND_GAIN or far < BEND_PX):
+                break
+            terms = np.zeros((16, 2))
+            terms[CUBIC] = change * self.cell
+            terms = terms.reshape(4, 4, 2)
+            if chart_map.bend is not None:
+                terms = terms + chart_map.bend.terms
+            chart_map = replace(chart_map, bend=Bend(size, terms))
+            if gain < 1 or far < 0.02:
+                break
+        return chart_map
+
+
+def _correlation(printed, seen, trusted):
     """Correlation of two standardised images where they are trusted."""
     one, two = (np.clip(part, -SPREADS, SPREADS)[trusted > 0] for part in (seen, printed))
     return float(one @ two / max(np.linalg.norm(one) * np.linalg.norm(two), 1e-12))
-
-
-def _framed(image, layout, chart_map, along, sigma_px):
-    """Print, photograph and trust in the chart's frame, the cell's side and a pixel's, mm.
-
-    There are ``along`` cells a side. Print and photograph are each divided by their own local mean
-    and spread, so that light and shadow do not count.
-    """
-    pixel_mm = float(np.median(chart_map.pixel_sizes_mm(layout.corners())))
-    cell = layout.width / along
-    printed = _print(layout, cell)
-    rows, columns = printed.shape
-    blur = np.hypot(sigma_px * pixel_mm / cell, 0.5)
-    y, x = (np.indices((rows, columns)) + 0.5) * cell
-    pixels = chart_map.pixels(np.column_stack([x.ravel(), y.ravel()])).astype(np.float32)
-    pixels = pixels.reshape(rows, columns, 2)
-    soft = max(cell / pixel_mm / 2.5, 0.3)
-    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), soft)
-    seen = cv2.remap(smooth, pixels, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    inside = ((pixels >= 0) & (pixels <= np.array(image.shape[::-1]) - 1)).all(axis=2)
-    printed = _standardised(cv2.GaussianBlur(printed, (0, 0), blur), LIGHT_MM / cell)
-    trusted = _trusted(layout, pixel_mm, cell, printed.shape) * inside
-    return printed, _standardised(seen, LIGHT_MM / cell), trusted.astype(np.uint8), cell, pixel_mm
 
 
 @lru_cache(maxsize=4)
@@ -546,39 +618,19 @@ def _print(layout, cell):
     return reflectance(layout, cell=cell)
 
 
-def _bent(image, layout, chart_map, along, sigma_px=SIGMAS_PX[0]):
-    """A map with the cubic displacement that print and photograph show, if they show one.
-
-    Blocks of the chart ask for shifts (Lucas and Kanade); those that differ from the print, behind
-    a post or at a shadow's edge, count little.
-    """
-    size = layout.width, layout.height
-    places = (np.indices((BLOCKS, BLOCKS))[::-1].reshape(2, -1).T + 0.5) / BLOCKS * size
-    design = _powers(places, size)
-    for _ in range(8):
-        printed, seen, trusted, cell, pixel_mm = _framed(image, layout, chart_map, along, sigma_px)
-        # close to the chart's edge, pixels see what is beyond
-        trusted[:2] = trusted[-2:] = trusted[:, :2] = trusted[:, -2:] = 0
-        change, gain = _shifts(printed, seen, trusted, design)
-        far = np.abs(design @ change).max() * cell / max(pixel_mm, cell)
-        if chart_map.bend is None and (gain < BEND_GAIN or far < BEND_PX):
-            break
-        before = 0 if chart_map.bend is None else chart_map.bend.terms
-        chart_map = replace(chart_map, bend=Bend(size, before + change * cell))
-        if gain < 1 or far < 0.02:
-            break
-    return chart_map
+def _plain(chart_map, layout, **other):
+    """The homography nearest to a map, of the same camera or of another."""
+    mesh = np.indices((5, 5)).reshape(2, -1).T / 4 * [layout.width, layout.height]
+    known = {name: getattr(chart_map, name) for name in ("camera", "offset", "source")}
+    plain = ChartMap.from_points(mesh, chart_map.pixels(mesh), **(known | other))
+    return replace(plain, charts=chart_map.charts)
 
 
 def _straight(chart_map, layout):
     """A map without its bend where a homography does as well."""
-    mesh = np.indices((5, 5)).reshape(2, -1).T / 4 * [layout.width, layout.height]
-    pixels = chart_map.pixels(mesh)
-    plain = ChartMap.from_points(
-        mesh, pixels, camera=chart_map.camera, offset=chart_map.offset, source=chart_map.source
-    )
-    bent = np.linalg.norm(plain.pixels(mesh) - pixels, axis=1).max() > BEND_PX
-    return chart_map if bent else replace(chart_map, matrix=plain.matrix, bend=None)
+    plain, outline = _plain(chart_map, layout), layout.corners()
+    leaves = plain.outline(outline) - chart_map.outline(outline)
+    return chart_map if np.linalg.norm(leaves, axis=1).max() > BEND_PX else plain
 
 
 def _shifts(printed, seen, trusted, design):
@@ -605,11 +657,19 @@ def _shifts(printed, seen, trusted, design):
     return change, float(explained / change.size / (rest / (2 * len(sums))))
 
 
-def _standardised(tones, reach):
+def _standardised(tones):
     """Tones less their local mean, in local spreads."""
-    mean = cv2.GaussianBlur(tones, (0, 0), reach)
-    spread = np.sqrt(np.maximum(cv2.GaussianBlur((tones - mean) ** 2, (0, 0), reach), 0))
-    return (tones - mean) / np.maximum(spread, 0.1 * spread.max() + 1e-12)
+    off = tones - _around(tones)
+    spread = np.sqrt(np.maximum(_around(off**2), 0))
+    return off / np.maximum(spread, 0.1 * spread.max() + 1e-12)
+
+
+def _around(tones):
+    """Local means of an image of the chart; they change slowly."""
+    size = [min(side, LIGHT_CELLS) for side in tones.shape[::-1]]
+    small = cv2.resize(tones, size, interpolation=cv2.INTER_AREA)
+    small = cv2.GaussianBlur(small, (0, 0), LIGHT * size[0])
+    return cv2.resize(small, tones.shape[::-1], interpolation=cv2.INTER_LINEAR)
 
 
 def _trusted(layout, pixel_mm, cell, shape):
@@ -662,7 +722,7 @@ def _guesses(grey, layout, bars):
             outline = chart_map.outline(layout.corners())
             if not ((outline > -2) & (outline < np.array(grey.shape[::-1]) + 1)).all():
                 break
-            chart_map, correlation = _compared(grey, layout, chart_map, along)
+            chart_map, correlation = _Level(grey, layout, chart_map, along).aligned(chart_map)
         else:
             wide = np.ptp(chart_map.pixels(layout.corners()), axis=0)
             if wide.prod() > 50**2:  # a smaller chart shows nothing

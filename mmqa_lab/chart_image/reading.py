@@ -42,6 +42,9 @@ RIM_PX, RIM_MM, RIM_TONE, RIM_SHARE = 1.5, 12.0, 0.2, 0.04
 """White around a pattern is looked at: so deep in white, so far around. The pattern is hidden where
 that share of it is so far from white."""
 
+MESH_PX, TURN_STEPS = 4, 64
+"""Pixels between those whose places are calculated; steps of a pair in which waves are sought."""
+
 MOVED = "bars not where they are printed"
 
 END_REACH_PX, END_STEP_PX = 6.0, 0.1
@@ -434,15 +437,19 @@ def _printed(layout, chart_map, shape):
 
     Depths are in pixels.
     """
-    rows, columns = np.indices(shape)
-    places = chart_map.chart(np.column_stack([columns.ravel(), rows.ravel()]))
+    # places at every fourth pixel, one beyond the image too, and lines between them
+    rows, columns = (np.arange(-MESH_PX, side + MESH_PX, MESH_PX) for side in shape)
+    grid = np.stack(np.meshgrid(columns, rows), axis=-1) + (MESH_PX - 1) / 2
+    mesh = chart_map.chart(grid.reshape(-1, 2)).reshape(grid.shape)
+    places = cv2.resize(mesh, None, fx=MESH_PX, fy=MESH_PX, interpolation=cv2.INTER_LINEAR)
+    places = places[MESH_PX : MESH_PX + shape[0], MESH_PX : MESH_PX + shape[1]]
     sizes = chart_map.pixel_sizes_mm([[layout.width / 2, layout.height / 2]])
     cell = max(sizes.min() / 4, layout.width / 4000)
     printed = reflectance(layout, cell=cell)
     # a usual point spread, pixel included: white spills into black where bars are thin
     seen = cv2.GaussianBlur(printed, (0, 0), 0.65 * sizes.max() / cell)
     depths = [_depth(np.abs(printed - tone) < 1e-3) * (cell / sizes.max()) for tone in (1.0, 0.0)]
-    places = (places / cell - 0.5).astype(np.float32).reshape(*shape, 2)
+    places = np.float32(places / cell - 0.5)
     constant = {"interpolation": cv2.INTER_LINEAR, "borderMode": cv2.BORDER_CONSTANT}
     at_pixels = [
         cv2.remap(part, places, None, **constant, borderValue=-1.0) for part in (seen, *depths)
@@ -526,13 +533,14 @@ def _wave(across, values, pairs, width_px):
     fit = np.linalg.lstsq(design, values, rcond=None)[0]
     in_phase, quadrature = -fit[2], -fit[3]
     phase = float(np.degrees(np.arctan2(quadrature, in_phase)))
-    step = len(values) // 4000 + 1  # 4000 pixels tell enough
-    rest = (values - design[:, :2] @ fit[:2])[::step]
+    rest = values - design[:, :2] @ fit[:2]
+    place = np.round(TURN_STEPS * turns).astype(int)
+    sums = np.bincount(place - place.min(), rest)
+    places = (np.arange(len(sums)) + place.min()) / TURN_STEPS
     # up to the Nyquist frequency, where all waves look alike
     highest = min(2.5, 0.499 * width_px)
     rates = np.arange(0.3, max(highest, 0.4), 0.01)
-    waves = np.exp(-2j * np.pi * rates[:, None] * turns[::step])
-    power = np.abs(waves @ rest) ** 2
+    power = np.abs(np.exp(-2j * np.pi * rates[:, None] * places) @ sums)
     # printed bars from 0 to 1 have a first harmonic of 2/pi
     return float(in_phase * np.pi / 2), phase, float(rates[power.argmax()] * pairs.repeats)
 
