@@ -13,7 +13,7 @@ from overlaps import overlapping_texts
 
 from mmqa_lab import plots
 from mmqa_lab.published import ledger
-from mmqa_lab.run import Run, parameter_names, read_record, verdict
+from mmqa_lab.run import Run, notebooks, pages, parameter_names, read_record, verdict
 from mmqa_lab.studies import STUDIES
 
 
@@ -190,9 +190,28 @@ def test_a_figure_has_its_data_a_caption_and_a_licence(run):
     captions = pd.read_csv(run.folder / "captions.csv").set_index("figure")
     assert captions["caption"].to_dict() == {
         "errors": "plain, sigma_MAD (mm), range (m)",
-        "again": "One rising line.",
+        "again": "One rising line. Numbers: measured.",
     }
     assert (captions["licence"] == "CC BY 4.0").all()
+
+
+def test_a_notebook_shows_captions_and_letters_and_its_page_leaves_bookkeeping_out(tmp_path):
+    cells = [
+        "%matplotlib inline\nfrom mmqa_lab import plots\nfrom mmqa_lab.run import Run\n"
+        "run = Run('shown', parameters=globals())",
+        "figure, axes = plots.subplots(1, 2)",
+        "print([ax.texts[0].get_text() for ax in axes])\n"
+        "run.save_figure(figure, 'two', kind='predicted', seen='Two panels.')",
+    ]
+    notebook = nbformat.v4.new_notebook(cells=[*map(nbformat.v4.new_code_cell, cells)])
+    notebook.cells[2].metadata["tags"] = ["results"]
+    assert notebooks.execute(notebook, tmp_path, results=tmp_path) == ""
+    letters, caption = notebook.cells[2].outputs
+    assert letters["text"] == "['(a)', '(b)']\n"  # the picture above has them, too
+    assert caption["data"]["text/markdown"].endswith("Two panels. Numbers: predicted.")
+    page = pages.notebook_page(notebook, "Shown")
+    assert "Two panels." in page
+    assert "save_figure" not in page
 
 
 def test_tables_are_written_for_latex(run):

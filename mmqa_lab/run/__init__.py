@@ -15,8 +15,10 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+import matplotlib.pyplot as plt
 import pandas as pd
 from IPython import get_ipython
+from IPython.display import Markdown, display
 from matplotlib.figure import Figure
 
 from mmqa_lab import __version__
@@ -104,6 +106,7 @@ class Run:
         write_record(self.folder, self._record)
         if get_ipython() is not None:
             pd.set_option("display.max_colwidth", None, "display.float_format", four_digits)
+            get_ipython().events.callbacks["post_execute"].insert(0, _finish_shown)
 
     def save_table(self, frame: pd.DataFrame, name: str, *, kind: str = "") -> None:
         """Write a DataFrame as ``<name>.csv`` and, for a paper, as ``<name>.tex``.
@@ -145,24 +148,29 @@ class Run:
         The panels of the figure get letters. ``data`` is a DataFrame of the numbers shown, written
         as ``<name>.csv``. The kind of the numbers is ``kind``, the kind of ``data``, or the kind of
         the table of this name. It stands in the lower right corner unless the texts of the figure
-        state it. ``seen`` describes the figure in a sentence. It is the caption, kept with the
-        licence in ``captions.csv``, and the text for readers without the picture. By default it is
-        made of the titles and labels of the axes.
+        state it. ``seen`` says in a sentence what is seen, and of how many. With the kind it is
+        the caption, shown in a notebook, kept with the licence in ``captions.csv``, and the text
+        for readers without the picture. By default it is made of the titles and labels of the
+        axes.
         """
         if name not in self._kinds or data is not None:
             self._remove(name)
-        known = "" if data is None else _kind_of(data)
-        say_kind(figure, kind or known or self._kinds.get(name, ""))
+        kind = kind or ("" if data is None else _kind_of(data)) or self._kinds.get(name, "")
+        say_kind(figure, kind)
         finish_figure(figure)
         figure.draw_without_rendering()
         figure.set_layout_engine("none")  # laid out once: it takes as long as drawing
         for form, details in FORMATS.items():
             self._write(f"{name}.{form}", functools.partial(figure.savefig, metadata=details))
-        self._record["figures"][name] = seen or _described(figure)
+        said = not kind or all(word in seen for word in re.findall(r"\w+", kind))
+        caption = seen if said or not seen else f"{seen} Numbers: {kind}."
+        self._record["figures"][name] = caption or _described(figure)
         rows = pd.DataFrame(self._record["figures"].items(), columns=["figure", "caption"])
         self._write("captions.csv", rows.assign(licence="CC BY 4.0"))
         if data is not None:
             self._write(f"{name}.csv", data)
+        if caption and get_ipython() is not None:
+            display(Markdown(f"**Figure `{name}`.** {caption}"))
 
     def save_value(self, name: str, value: float, unit: str, kind: str) -> None:
         """Write a named number with its unit and kind to ``values.csv`` and ``values.tex``."""
@@ -326,6 +334,12 @@ def parameter_names(notebook):
     tagged = [cell["source"] for cell in cells if "parameters" in cell["metadata"].get("tags", [])]
     nodes = ast.walk(ast.parse("".join(itertools.chain(*tagged))))
     return [n.id for n in nodes if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)]
+
+
+def _finish_shown():
+    """Give the figures of a cell their letters and symbols before the notebook shows them."""
+    for number in plt.get_fignums():
+        finish_figure(plt.figure(number))
 
 
 def _described(figure):

@@ -14,6 +14,7 @@ import pandas as pd
 from jinja2 import Environment, FileSystemLoader
 from latex2mathml.converter import convert
 from nbconvert import HTMLExporter
+from nbconvert.preprocessors import TagRemovePreprocessor
 
 from mmqa_lab import __version__
 from mmqa_lab.io import write_atomically
@@ -110,7 +111,9 @@ def write_ledger(path, rows, quick=False):
 
 
 def notebook_page(notebook, title, *, above=()):
-    """Return an executed notebook as a page; the notebook's own texts change.
+    """Return an executed notebook as a page without the code of its bookkeeping.
+
+    The notebook's own texts change.
 
     Parameters
     ----------
@@ -124,7 +127,8 @@ def notebook_page(notebook, title, *, above=()):
             cell.source = FORMULA.sub(_mathml, cell.source)
     notebook.cells.insert(0, nbformat.v4.new_markdown_cell("\n\n".join([WRAPPED, *above])))
     notebook.metadata["title"] = title
-    body, _ = HTMLExporter().from_notebook_node(notebook)
+    folded = TagRemovePreprocessor(remove_input_tags={"results"})
+    body, _ = HTMLExporter(preprocessors=[folded]).from_notebook_node(notebook)
     return re.sub(r"(?s)<script.*?</script>", "", body)  # they would ask the network
 
 

@@ -1,11 +1,12 @@
 """Notebooks for a class: students' copies, checks of answers, and solutions for the teacher.
 
 Cells tagged ``solution`` contain an answer and, below a line ``# check``, the code that tests the
-answer. Cells tagged ``lesson`` are for the teacher. A student's copy has no stored outputs. Its
-tests are compressed, so that nobody reads them at a glance. A failed check does not stop
-*Run All*. The cell tagged ``number`` sets the student's number in the class. Exercises take their
-values from this number, so each student has another answer. The first exercise stands directly
-below the cells that it needs. The teacher gets the solutions and a table of answers by number.
+answer. Cells tagged ``lesson`` are for the teacher, and cells tagged ``results`` keep the books of
+a run; a student's copy has neither, and no stored outputs. Its tests are compressed, so that
+nobody reads them at a glance. A failed check does not stop *Run All*. The cell tagged ``number``
+sets the student's number in the class. Exercises take their values from this number, so each
+student has another answer. The first exercise stands directly below the cells that it needs. The
+teacher gets the solutions and a table of answers by number.
 """
 
 import ast
@@ -159,7 +160,7 @@ def _student_notebook(notebook, checks):
         cell.source = SET_HERE.sub("set it in the next cell", cell.source)
         if "solution" in _tags(cell):
             copy.cells += _exercise(cell.source)[: 2 if checks else 1]
-        elif "lesson" not in _tags(cell):
+        elif not {"lesson", "results"} & set(_tags(cell)):
             cell.source = _waiting(cell)
             copy.cells.append(cell)
     return copy
