@@ -2,7 +2,6 @@
 
 import difflib
 import numbers
-import os
 from pathlib import Path
 
 import numpy as np
@@ -216,7 +215,7 @@ def check_kind(path):
         raise OSError(f"Invalid output {path}: a folder or device. Must be a file.")
     if not path.is_file() or ending not in BEGINNINGS:
         return
-    with open(path, "rb") as file:
+    with path.open("rb") as file:
         head = file.read(1024).lstrip(b"\xef\xbb\xbf \n\r")
     zero = b"\0" in head and ending in (".csv", ".html", ".svg")
     if head and (zero or not head.startswith(BEGINNINGS[ending])):
@@ -225,9 +224,10 @@ def check_kind(path):
 
 def _is_same(path, other):
     """Whether two paths name one file, which need not exist."""
-    if os.path.exists(path) and os.path.exists(other):
-        return os.path.samefile(path, other)
-    return os.path.realpath(path) == os.path.realpath(other)
+    path, other = Path(path), Path(other)
+    if path.exists() and other.exists():
+        return path.samefile(other)
+    return path.resolve() == other.resolve()
 
 
 def check_columns(table, columns, name):

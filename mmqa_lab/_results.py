@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
@@ -15,13 +16,13 @@ class Shown:
     that belong into the table.
     """
 
-    _metres = ()
-    _derived = ()
+    _metres: tuple[str, ...] = ()
+    _derived: tuple[str, ...] = ()
 
     def to_frame(self) -> pd.DataFrame:
         """Return one row: every number with its unit, short vectors by their axes."""
-        row = {}
-        for name in (*(field.name for field in fields(self)), *self._derived):
+        row: dict[str, Any] = {}
+        for name in (*(field.name for field in fields(cast(Any, self))), *self._derived):
             value, unit = getattr(self, name), "_m" if name in self._metres else ""
             if isinstance(value, np.ndarray) and value.shape in ((2,), (3,)):
                 row |= {f"{name}_{axis}{unit}": v for axis, v in zip("xyz", value, strict=False)}

@@ -180,7 +180,7 @@ class Comparison:
     """
 
     cases: list | pd.DataFrame
-    methods: dict
+    methods: Mapping[str, Callable]
     make: Callable
     score: Callable | None = None
     seeds: Iterable = (0,)
@@ -528,8 +528,8 @@ def plot_tables(tables: Mapping[str, pd.DataFrame], *, own: Sequence[str] = ()) 
     matplotlib.figure.Figure
     """
     methods = next(iter(tables.values()))["method"].tolist()
-    size = {"width": "double", "height_mm": 22 + 5.5 * len(methods)}
-    figure, axes = plots.subplots(1, len(tables), sharey=True, squeeze=False, **size)
+    size, shared = 22 + 5.5 * len(methods), {"sharey": True, "squeeze": False}
+    figure, axes = plots.subplots(1, len(tables), width="double", height_mm=size, **shared)
     for ax, (name, table) in zip(axes[0], tables.items(), strict=True):
         for place, (method, mean, low, high) in enumerate(table.iloc[:, :4].to_numpy()):
             colour = plots.COLOURS["vermilion" if method in own else "blue"]

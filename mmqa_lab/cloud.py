@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, DTypeLike
 
 from mmqa_lab._checks import check_choice, check_points, check_same_crs
+
+if TYPE_CHECKING:
+    from pyproj import CRS
 
 __all__ = [
     "Cloud",
@@ -78,7 +82,14 @@ class Cloud:
     columns: Mapping[str, np.ndarray] = field(default_factory=dict)
     name: str = ""
     resolution: float = np.nan
-    crs: object = None
+    crs: CRS | None = None
+
+    if TYPE_CHECKING:  # what is array_like goes in, and arrays come out
+
+        def __init__(
+            self, points: ArrayLike, columns: Mapping[str, ArrayLike] = ...,
+            name: str = "", resolution: float = ..., crs: CRS | None = None,
+        ): ...  # fmt: skip
 
     def __post_init__(self):
         points = check_points(self.points, minimum=0)
@@ -93,13 +104,13 @@ class Cloud:
     def __len__(self) -> int:
         return len(self.points)
 
-    def __array__(self, dtype=None, copy=None) -> np.ndarray:
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> np.ndarray:
         return np.array(self.points, dtype=dtype, copy=copy)
 
     def __contains__(self, column: str) -> bool:
         return column in self.columns
 
-    def __getitem__(self, which: str | ArrayLike | slice) -> np.ndarray | Cloud:
+    def __getitem__(self, which: Any) -> Any:
         if isinstance(which, str):
             return self.columns[check_choice(which, "column", self.columns)]
         points = self.points[which]
@@ -190,7 +201,11 @@ def extent(points: np.ndarray) -> np.ndarray:
 
 
 def unit_remarks(
-    points: ArrayLike, *, crs: object = None, share: float = 1.0, lengths: ArrayLike | None = None
+    points: ArrayLike,
+    *,
+    crs: CRS | None = None,
+    share: float = 1.0,
+    lengths: np.ndarray | None = None,
 ) -> list[str]:
     """Return what speaks against coordinates in metres with z upwards, a sentence for each.
 
@@ -262,6 +277,7 @@ def path_distance(xy: ArrayLike, path: ArrayLike) -> np.ndarray:
     """
     import shapely
 
+    path = np.asarray(path)
     line = shapely.LineString(path) if len(path) > 1 else shapely.Point(path[0])
     return shapely.distance(shapely.points(xy), line)
 

@@ -357,7 +357,7 @@ class _Sigmoid:
         return places, (means - low) / (high - low), noise
 
 
-def _logistic(distance, width, angle):
+def _logistic(distance, width, _):
     return expit(distance / width)
 
 
@@ -689,7 +689,7 @@ def measure_star(
     n = check_count(cycles, "cycles", low=2)
     radius = check_positive(radius_px, "radius_px", unit="px")
     x0, y0 = (check_number(value, "centre", unit="px") for value in centre)
-    rows, columns = np.indices(grey.shape)
+    rows, columns = np.meshgrid(*map(np.arange, grey.shape), indexing="ij")
     used = _sector(rows - y0, columns - x0, azimuth_deg)
     pixels = (columns[used].astype(float), rows[used].astype(float), grey[used])
     place = np.array([x0, y0, 0.0, 0.0])

@@ -144,7 +144,7 @@ def subplots(
     width: str = "single",
     height_mm: float = 60.0,
     **choices: Any,
-) -> tuple[plt.Figure, plt.Axes | np.ndarray]:
+) -> tuple[plt.Figure, Any]:
     """Return a figure with the width of a journal, and its axes.
 
     Parameters

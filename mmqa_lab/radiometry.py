@@ -277,7 +277,7 @@ def fit_sensor(
     from statsmodels.regression.linear_model import WLS
 
     dn = np.asarray(dn, dtype=np.float64)
-    signal = np.broadcast_to(np.asarray(radiance, dtype=np.float64) * exposure, dn.shape)
+    signal = np.broadcast_to(np.multiply(radiance, exposure), dn.shape)
     std = np.broadcast_to(1.0 if std_dn is None else np.asarray(std_dn, np.float64), dn.shape)
     if not (np.isfinite(signal).all() and np.isfinite(dn).all() and (std > 0).all()):
         raise ValueError("Invalid targets. Must be finite, their standard deviations > 0 DN.")
@@ -394,7 +394,7 @@ class EmpiricalLine(Shown):
 
     def reflectance(self, dn: ArrayLike, *, anisotropy: ArrayLike = 1.0) -> np.ndarray:
         """Nadir reflectance of DN seen where the surface reflects ``anisotropy`` times as much."""
-        return (self.slope * np.asarray(dn, np.float64) + self.intercept) / anisotropy
+        return np.divide(self.slope * np.asarray(dn, np.float64) + self.intercept, anisotropy)
 
     def std(self, dn: ArrayLike, *, std_dn: ArrayLike = 0.0) -> np.ndarray:
         """Standard deviation of the reflectance: that of the line, and that of the DN."""
@@ -512,7 +512,7 @@ def empirical_line(
     0.15
     """
     dn = np.asarray(dn, dtype=np.float64)
-    known = np.broadcast_to(np.asarray(reflectance, np.float64) * anisotropy, dn.shape)
+    known = np.broadcast_to(np.multiply(reflectance, anisotropy), dn.shape)
     if dn.ndim != 1 or len(dn) < 2 or not np.isfinite([dn, known]).all() or np.ptp(dn) == 0:
         raise ValueError(
             f"Invalid targets: {dn.size} given. Must be two or more of different, finite DN."
@@ -533,7 +533,8 @@ def empirical_line(
     left = known - np.polyval(line, dn)
     if std_dn is None:
         covariance = covariance * (left @ left / (len(dn) - 2) if len(dn) > 2 else np.nan)
-    return EmpiricalLine(*map(float, line), covariance, left)
+    slope, intercept = map(float, line)
+    return EmpiricalLine(slope, intercept, covariance, left)
 
 
 def ndvi(
@@ -565,7 +566,8 @@ def ndvi(
     """
     n, r = np.asarray(near_infrared, np.float64), np.asarray(red, np.float64)
     total = n + r
-    return (n - r) / total, 2 * np.hypot(r * std_near_infrared, n * std_red) / total**2
+    errors = np.hypot(np.multiply(r, std_near_infrared), np.multiply(n, std_red))
+    return (n - r) / total, 2 * errors / total**2
 
 
 def saturation_level(dn):

@@ -129,7 +129,7 @@ def evaluate_selections(
     >>> evaluate_selections(cloud, [square, square + [0.04, 0, 0]])["n"].tolist()
     [1600, 1600]
     """
-    frames = [evaluate_cloud(points, polygon=p, axes=axes).to_frame() for p in polygons]
+    frames = [evaluate_cloud(points, polygon=p, axes=axes).to_frame() for p in np.asarray(polygons)]
     table = pd.concat(frames, ignore_index=True)
     return table.rename_axis("selection").reset_index()
 
@@ -234,7 +234,8 @@ def repeatability(table: pd.DataFrame, value: str) -> Repeatability:
     s_r = float(np.sqrt(off @ off / freedom))
     low, high = (s_r * np.sqrt(_chi_squared_ends(off, freedom))).tolist()
     mean, n = float(np.concatenate(parts).mean()), sum(len(part) for part in parts)
-    return Repeatability(mean, s_r, *_between(parts, s_r**2), low, high, len(parts), n)
+    s_l, icc = _between(parts, s_r**2)
+    return Repeatability(mean, s_r, s_l, icc, low, high, len(parts), n)
 
 
 def variance_components(table: pd.DataFrame, value: str, *, factors: Sequence[str]) -> pd.DataFrame:

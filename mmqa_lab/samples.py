@@ -89,8 +89,8 @@ def has_real(relative: str) -> bool:
     >>> has_real("no such file.laz")
     False
     """
-    root = os.environ.get(REAL_VARIABLE)
-    return bool(root) and (Path(root) / relative).exists()
+    root = os.environ.get(REAL_VARIABLE, "")
+    return root != "" and (Path(root) / relative).exists()
 
 
 def real_path(relative: str) -> Path:

@@ -54,8 +54,8 @@ REASONS = ("", "no points", "not surrounded", "slope", "gross error")
 SLICES = {"pole": ((0.5, 1.5), (4.5, 5.5)), "building": ((1.0, 3.0),), "curb": ((0.03, 0.10),)}
 """Slices of each kind of target: lower and upper height above the foot, m. They are our choice."""
 
-REPORT_SLICES = dict.fromkeys(("pole", "building"), ((-0.1, 0.5), (4.5, 5.5)))
-REPORT_SLICES["curb"] = ((-0.1, 0.5),)
+_LOW, _HIGH = (-0.1, 0.5), (4.5, 5.5)
+REPORT_SLICES = {"pole": (_LOW, _HIGH), "building": (_LOW, _HIGH), "curb": (_LOW,)}
 """Slices of the report, section 3.1.2.3. The lower slice is 0.6 m thick. A distant thin pole has
 few points in it, and the ground is part of it."""
 
@@ -395,7 +395,7 @@ def plan_accuracy(table: pd.DataFrame) -> pd.DataFrame:
         target = used.groupby(["x_m", "y_m"]).ngroup().to_numpy()
     difference = 1000 * used[["dx_m", "dy_m"]]
     counts = {"n": len(used), "missing": len(table) - len(used)}
-    rows = [{"shift": "kept"}, {"shift": "removed"}]
+    rows: list[dict] = [{"shift": "kept"}, {"shift": "removed"}]
     for row, off in zip(rows, (difference, difference - difference.mean()), strict=True):
         east, north = errors(off["dx_m"]), errors(off["dy_m"])
         row |= counts | {"mean_east_mm": east.bias, "mean_north_mm": north.bias}

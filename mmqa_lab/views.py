@@ -98,11 +98,11 @@ def show_cloud(cloud: ArrayLike, values: ArrayLike, *, label: str) -> Any:
     if not can_render():
         return Markdown("No 3-D view: it needs the OpenGL libraries that the README names.")
 
-    choices = {"jupyter_backend": "static"}
+    choices: dict = {"jupyter_backend": "static"}
     if not is_headless():
         choices = {"jupyter_backend": "server", "jupyter_kwargs": {"collapse_menu": True}}
         # it would download code from the network when the first view opens
-        sys.modules.setdefault("trame.widgets.vtklocal", None)
+        sys.modules.setdefault("trame.widgets.vtklocal", None)  # type: ignore[arg-type]
     return _plotter(local, values, label).show(return_viewer=True, **choices)
 
 

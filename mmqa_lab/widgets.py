@@ -622,7 +622,8 @@ def largest_rectangle(xy: ArrayLike) -> np.ndarray:
     away = quadrant_distances(xy, radius=extent.max() / 4, of=some)[:, -1]
     away = away[~np.isnan(away)]
     edge = max(extent.max() / 60, 3 * np.median(away)) if len(away) else extent.max() / 10
-    counts, x, y = np.histogram2d(*xy.T, bins=np.maximum(1, (extent / edge).astype(int)))
+    cells = np.maximum(1, (extent / edge).astype(int))
+    counts, x, y = np.histogram2d(xy[:, 0], xy[:, 1], bins=cells)
     filled = ndimage.binary_closing(np.pad(counts > 0, 1))[1:-1, 1:-1] | (counts > 0)
     best, heights = (0, 0, 0, 0, 0), np.zeros(filled.shape[1], dtype=int)
     for end, row in enumerate(filled, 1):

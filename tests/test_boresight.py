@@ -85,7 +85,7 @@ def test_poles_whose_arcs_have_passed_each_other_are_brought_together():
     assert misfit[[20, 61]] == pytest.approx(-0.05, abs=0.01)  # both lie behind their side
 
 
-def test_bad_surveys_are_refused_or_said(survey, street):
+def test_bad_surveys_are_refused_or_said(survey):
     lever, (cloud, path) = survey.lever_arms_m, survey.drives[0]
     known = {"poles": survey.poles, "control": survey.control, "patches": 60}
     with pytest.raises(ValueError, match="none given"):

@@ -13,8 +13,10 @@ LENSES = {
     "pincushion": {"radial": (0.076, 0.0), "pixel_mm": 1.9},
     "board bent by 20 mm, from aside": {"sag": 20.0, "turn": (0, 30, 1), "pixel_mm": 2.0},
     "tangential, off the axis": {
-        **{"radial": (-0.06, 0.02), "tangential": (0.002, -0.001)},
-        **{"aside": (40, -20), "pixel_mm": 2.2},
+        "radial": (-0.06, 0.02),
+        "tangential": (0.002, -0.001),
+        "aside": (40, -20),
+        "pixel_mm": 2.2,
     },
 }
 

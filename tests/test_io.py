@@ -1,7 +1,6 @@
 """Reading and writing clouds, polygons and trajectories."""
 
 import json
-import os
 
 import laspy
 import matplotlib.pyplot as plt
@@ -172,7 +171,7 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
     with pytest.raises(RuntimeError, match="power cut"):
         write_atomically(target, fails)
     assert target.read_text() == "old"
-    assert os.listdir(tmp_path) == ["t.csv"]
+    assert [path.name for path in tmp_path.iterdir()] == ["t.csv"]
 
 
 def test_devices_stay_and_links_lead_to_their_file(tmp_path):

@@ -173,7 +173,7 @@ def test_stated_uncertainty_covers_the_errors(density, noise):
     assert 0.85 <= np.mean(np.array(along) < 1.96) <= 1.0
 
 
-def test_a_cloud_too_thin_for_the_size_is_said_to_be(rng):
+def test_a_cloud_too_thin_for_the_size_is_said_to_be():
     thin = boxes(1, density=2)
     with pytest.warns(UserWarning, match=r"second point\. Planes of 2 m may be missing"):
         detect_planes(thin)

@@ -224,7 +224,7 @@ def test_one_straight_edge_is_measured_without_a_remark(seed, noise, angle):
     assert found.mtf50 == pytest.approx(truth, rel=0.1)
 
 
-def test_intervals_hold_where_noise_is_strong(rng):
+def test_intervals_hold_where_noise_is_strong():
     fits = [(fit_edge(image), truth) for image, truth in (
         odd_edge("plain", np.random.default_rng(k), noise=0.05) for k in range(30)
     )]  # fmt: skip

@@ -131,7 +131,7 @@ def test_files_of_its_own_kind_are_replaced(full):
 
 def test_corrected_clouds_do_not_replace_the_drives(full, monkeypatch, capsys):
     monkeypatch.setattr(boresight, "calibrate", lambda *_, **__: pytest.fail("worked first"))
-    os.rename("street.laz", "1_a.laz")
+    Path("street.laz").rename("1_a.laz")
     os.link("1_a.laz", "a.laz")
     before = hashes(full)
     assert run(["calibrate", "a.laz", "--trajectory", "own.csv", "--out", "."]) == 2

@@ -190,7 +190,7 @@ def test_lessons_leave_out_what_is_neither_near_nor_far(rng):
     assert len(measures) == len(label) == len(weight) < len(learned.describe(points).axes)
 
 
-def test_candidates_do_not_depend_on_tiles(rng):
+def test_candidates_do_not_depend_on_tiles():
     posts = [post(x, 0.0, line=100 * k)[0] for k, x in enumerate((-1.0, 58.95, 59.0, 121.0))]
     found = learned.describe(np.vstack([floor() * [12, 1, 1], *posts])).middle
     for x in (-1.0, 59.0, 121.0):

@@ -55,9 +55,14 @@ def test_each_check_can_fail():
     of_5 = pd.DataFrame({"balanced": [0.85, 0.45, 0.85, 0.45]} | ends, rules)
     heads = pd.DataFrame({"f_smallest": [3.0, 2.9], "f_largest": [3.6, 3.0]})
     whole = {
-        **{"worst": 1.2, "distinct": range(13), "repeats": 30, "uneven": 1.01, "pair": ranks},
+        "worst": 1.2,
+        "distinct": range(13),
+        "repeats": 30,
+        "uneven": 1.01,
+        "pair": ranks,
         "noisy": pd.Series({0.0: 5.7, 45.0: 10.8}),
-        **{"of_5": of_5, "heads": heads},
+        "of_5": of_5,
+        "heads": heads,
         "both": pd.Series({"f_smallest": 2.2, "f_largest": 2.2}),
     }
     assert spoiled("anisotropy", whole) == []

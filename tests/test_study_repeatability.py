@@ -90,9 +90,15 @@ def test_groups_that_are_not_full_are_left_out():
 def test_each_check_can_fail():
     parts = pd.Series({"density": 0.01, "f": 0.02})
     whole = {
-        **{"of_selections": parts, "precise": 100.0, "dense": pd.Series([40.0, 60.0])},
-        **{"worst": 0.93, "least": 0.86, "coverage_scans": 100, "ratio": pd.Series([1.0, 1.05])},
-        **{"grown": 8.0, "off": 0.05},
+        "of_selections": parts,
+        "precise": 100.0,
+        "dense": pd.Series([40.0, 60.0]),
+        "worst": 0.93,
+        "least": 0.86,
+        "coverage_scans": 100,
+        "ratio": pd.Series([1.0, 1.05]),
+        "grown": 8.0,
+        "off": 0.05,
     }
     assert spoiled("repeatability", whole) == []
     changes = {

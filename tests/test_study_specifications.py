@@ -98,9 +98,16 @@ def test_each_check_can_fail(comparison):
     wrong = pd.Series([20.0, 3.0, 4.0, 1.2], models)
     whole = {
         "fits": pd.DataFrame(rows, columns=names).set_index(names[:3]),
-        **{"pulses": 7000.0, "before": 6.0, "after": 0.6, "pitch": 38.0, "capped": 3390.0},
-        **{"repeats": 4, "repeats_percent": 0.8},
-        **{"excess": 0 * excess + 50, "wrong": wrong, "others": wrong.drop(models[3])},
+        "pulses": 7000.0,
+        "before": 6.0,
+        "after": 0.6,
+        "pitch": 38.0,
+        "capped": 3390.0,
+        "repeats": 4,
+        "repeats_percent": 0.8,
+        "excess": 0 * excess + 50,
+        "wrong": wrong,
+        "others": wrong.drop(models[3]),
     }
     assert spoiled("specifications", whole) == []
     changes = {

@@ -239,8 +239,8 @@ def evaluate_image(image: ArrayLike, layout: Layout, chart_map: ChartMap) -> Ima
     """
     chart_map = align(image, layout, chart_map)
     tones = reading.find_tones(image, layout, chart_map)
-    tables = [read(tones, layout, chart_map) for read in (reading.pixel_sizes, read_pairs)]
-    return ImageQuality(chart_map, tones, *tables, np.asarray(image), layout)
+    sizes, pairs = (read(tones, layout, chart_map) for read in (reading.pixel_sizes, read_pairs))
+    return ImageQuality(chart_map, tones, sizes, pairs, np.asarray(image), layout)
 
 
 def evaluate_file(

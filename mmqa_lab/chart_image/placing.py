@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import combinations
 
 import cv2
@@ -174,7 +174,7 @@ class ChartMap:
     """
 
     matrix: np.ndarray
-    camera: object = None
+    camera: PanoramaCamera | None = None
     offset: tuple = (0.0, 0.0)
     source: str = "given"
     bend: Bend | None = None
@@ -225,6 +225,7 @@ class ChartMap:
 
     def pixels(self, xy: ArrayLike) -> np.ndarray:
         """Return the pixels of chart places, shape (n, 2)."""
+        xy = np.asarray(xy, dtype=float)
         xy = xy if self.bend is None else xy + self.bend.at(xy)
         if self.camera is None:
             return _projected(self.matrix, xy) - self.offset
@@ -251,9 +252,9 @@ class ChartMap:
 
     def outline(self, corners: ArrayLike) -> np.ndarray:
         """Return the pixels along a closed outline on the chart, eight steps a side, (n, 2)."""
-        step = np.arange(8)[:, None] / 8
-        ends = zip(corners, np.roll(corners, -1, axis=0), strict=True)
-        return self.pixels(np.concatenate([a + step * (b - a) for a, b in ends]))
+        begin, step = np.asarray(corners, dtype=float)[:, None], np.arange(8)[:, None] / 8
+        sides = begin + step * (np.roll(begin, -1, axis=0) - begin)
+        return self.pixels(sides.reshape(-1, 2))
 
     def within(self, column: float, row: float) -> ChartMap:
         """Return the map for a window of the image that begins at this column and row."""
@@ -345,10 +346,10 @@ def locate(
     >>> chart_map.pixels([[0, 0], [500, 500]]).round(6).tolist()
     [[100.0, 350.0], [225.0, 225.0]]
     """
-    bent = {"camera": camera, "offset": offset}
+    place = partial(ChartMap.from_points, camera=camera, offset=offset)
     if corners is not None:
         corners = four_corners(corners, columns=2)
-        return ChartMap.from_points(layout.corners(), corners, source="corners", **bent)
+        return place(layout.corners(), corners, source="corners")
     grey = _stretched(image)
     markers = {marker.identifier: marker for marker in layout.of_kind(Marker)}
     shrunk = min((SHRUNK_PIXELS / grey.size) ** 0.5, 1)
@@ -360,11 +361,11 @@ def locate(
             places = np.concatenate([markers[key].corners()[::-1] for key, _ in groups[0]])
             seen = np.concatenate([corners for _, corners in groups[0]])
             source = f"{len(groups[0])} coded targets"
-            chart_map = ChartMap.from_points(places, seen, source=source, **bent)
+            chart_map = place(places, seen, source=source)
             return replace(chart_map, charts=sum(len(group) > 1 for group in groups))
         chart_map = _by_bars(grey, layout, times) if times == shrunk else None
         if chart_map is not None:
-            return _plain(chart_map, layout, source="long bars", **bent)
+            return _plain(chart_map, layout, source="long bars", camera=camera, offset=offset)
     raise ValueError(
         f"Invalid image: {len(found)} of {len(markers)} coded targets and no long bars found. "
         "Must show the whole chart, not cut by the border, or its corners must be given."

@@ -78,7 +78,7 @@ def bench(
         drawn = {name: bench.summary(results, name) for name in figures}
         if comparison.tables and list(answer)[2:4] == ["low", "high"]:
             drawn = {answer.columns[1]: answer}
-        _write_bench(out, tables | kept, lambda: bench.plot_tables(drawn, own=own))
+        _write_bench(out, tables | kept, lambda: bench.plot_tables(drawn, own=[*own]))
     failed = bench.failures(results).query("method in @own").drop_duplicates("method")
     if failed.empty:
         return answer

@@ -259,10 +259,10 @@ def plan(
     lattice = scan_pattern.scan_lattice(setup, target.patch(setup))
     frame = lattice.to_frame().T.reset_index().set_axis(["quantity", "predicted"], axis=1)
     if sigma:
-        pairs = [re.fullmatch(r"(\w+)=([\d.eE+-]+)", text) for text in sigma]
-        if not all(pairs):
+        found = [pair for text in sigma if (pair := re.fullmatch(r"(\w+)=([\d.eE+-]+)", text))]
+        if len(found) < len(sigma):
             raise ValueError(f"Invalid sigma {' '.join(sigma)}. Must be like speed_m_s=0.2.")
-        sigmas = {pair[1]: float(pair[2]) for pair in pairs}
+        sigmas = {pair[1]: float(pair[2]) for pair in found}
         errors = scan_pattern.propagate(setup, target, sigmas=sigmas)
         frame = frame.merge(errors[["quantity", "std", "low", "high"]], on="quantity", how="left")
     return frame
@@ -409,14 +409,14 @@ def poles(
         check_upright(f"cloud {file}", cloud.crs)
         head = {"head": np.full(len(cloud), number)} if len(clouds) > 1 else {}
         parts.append(Cloud(cloud.points, head | dict(cloud.columns), file.stem, crs=cloud.crs))
-    scope = {"trajectory": None, "corridor": corridor}
+    path = None
     if trajectory is not None:
-        scope["trajectory"] = io.read_trajectory(trajectory)[["easting_m", "northing_m"]].to_numpy()
+        path = io.read_trajectory(trajectory)[["easting_m", "northing_m"]].to_numpy()
     found = poles.detect(Cloud.concatenate(parts), method=method)
     if reference is None:
         return found
     known = io.read_table(reference, "reference", ("x_m", "y_m"))
-    return poles.score(found, known, **scope).to_frame()
+    return poles.score(found, known, trajectory=path, corridor=corridor).to_frame()
 
 
 @table
@@ -456,17 +456,17 @@ def accuracy(
     points = io.read_cloud(cloud, columns=())
     if (reference is None) == (targets is None):
         raise ValueError("Invalid request. Must have either REFERENCE or --targets.")
-    if targets is not None:
+    if reference is not None:
+        check_upright(f"cloud {cloud}", points.crs)
+        heights = io.read_heights(reference, crs=points.crs)
+        summary, differences = test_field.compare_heights(points, heights, radius=radius)
+    else:
         differences = test_field.plan_differences(points, _targets(targets))
         summary = test_field.plan_accuracy(differences)
         missing = differences["reason"].value_counts().drop("", errors="ignore")
         summary["remarks"] = " ".join(
             f"{reason.capitalize()}: {n}." for reason, n in missing.items()
         )
-    else:
-        check_upright(f"cloud {cloud}", points.crs)
-        heights = io.read_heights(reference, crs=points.crs)
-        summary, differences = test_field.compare_heights(points, heights, radius=radius)
     if out is not None:
         io.write_atomically(out, differences)
     return summary
@@ -531,11 +531,11 @@ def calibrate(
     if len(paths) != len(clouds):
         raise ValueError(f"Invalid trajectories: {len(paths)}. Must be one, or one for each drive.")
     heads = 1 + max(int(np.max(cloud["head"])) if "head" in cloud else 0 for cloud in clouds)
+    arms = lever_arm or ["0,0,0"] * heads
     try:
-        arms = [arm.split(",") for arm in lever_arm or ["0,0,0"] * heads]
-        arms = np.array(arms, dtype=np.float64).reshape(len(arms), 3)
+        arms = np.array([arm.split(",") for arm in arms], np.float64).reshape(len(arms), 3)
     except ValueError:
-        raise ValueError(f"Invalid lever-arm {' '.join(lever_arm)}. Must be X,Y,Z.") from None
+        raise ValueError(f"Invalid lever-arm {' '.join(arms)}. Must be X,Y,Z.") from None
     found = boresight.calibrate(
         list(zip(clouds, paths, strict=True)),
         lever_arms_m=arms,

@@ -283,7 +283,7 @@ def _check_header(path, header):
     if not (np.isfinite(header.scales).all() and (header.scales > 0).all()):
         found = f"scale {', '.join(f'{scale:g}' for scale in header.scales)} in its header"
         raise ValueError(f"Invalid cloud {path}: {found}. Must be above 0.")
-    with open(path, "rb") as file:
+    with Path(path).open("rb") as file:
         (legacy,) = struct.unpack("<107xI", file.read(111))
     behind = (header.start_of_first_evlr, header.start_of_waveform_data_packet_record)
     end = min([Path(path).stat().st_size, *filter(None, behind)])  # 0 where there is none

@@ -61,7 +61,7 @@ def write_atomically(path: str | os.PathLike, write: Callable | str | pd.DataFra
             temporary.write_text(write, encoding="utf-8")
         else:
             write(temporary)
-        os.replace(temporary, path)
+        temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
 

@@ -78,20 +78,20 @@ def _row(fields, order, path):
 
 def _binary(data, at, elements, wanted, path, order):
     """The rows of an element of a binary file."""
-    for name, count, fields in elements:
-        lists = any(len(types) == 2 for types in fields.values())
-        if name == wanted:
-            kind = _row(fields, order, path)
-            there = (len(data) - at) // kind.itemsize
-            last = sum(later for _, later, _ in elements) == count
-            if there < count or (last and there > count):
-                raise _miscounted(path, there, count)
-            return np.frombuffer(data, kind, count, at)
-        if lists:
+    place = [name for name, _, _ in elements].index(wanted)
+    for _, count, fields in elements[:place]:
+        if any(len(types) == 2 for types in fields.values()):
             with reading(path, "cloud", WANTED):
                 at = _behind_lists(data, at, count, fields, order)
         else:
             at += count * _row(fields, order, path).itemsize
+    _, count, fields = elements[place]
+    kind = _row(fields, order, path)
+    there = (len(data) - at) // kind.itemsize
+    last = sum(later for _, later, _ in elements) == count
+    if there < count or (last and there > count):
+        raise _miscounted(path, there, count)
+    return np.frombuffer(data, kind, count, at)
 
 
 def _behind_lists(data, at, count, fields, order):
@@ -104,7 +104,7 @@ def _behind_lists(data, at, count, fields, order):
     return at
 
 
-def _text(data, at, elements, wanted, path, order):
+def _text(data, at, elements, wanted, path, _):
     """The rows of an element of a text file."""
     lines = [line for line in data[at:].splitlines() if line.strip()]
     counts = [count for _, count, _ in elements]

@@ -67,9 +67,9 @@ def las_system(header, path):
     try:
         crs = header.parse_crs()
     except Exception:  # of pyproj and of whatever its text is given to
-        *_, last = [("metre", "1"), *re.findall(r'UNIT\["([^"]*)",\s*([-+.\deE]+)', texts)]
-        if float(last[1]) != 1:
-            return _local(last[0], float(last[1]))
+        unit, size = (re.findall(r'UNIT\["([^"]*)",\s*([-+.\deE]+)', texts) or [("metre", "1")])[-1]
+        if float(size) != 1:
+            return _local(unit, float(size))
         warnings.warn(f"{path} names a coordinate system that is not known.", stacklevel=2)
     return system_of_keys(keys, crs, f"cloud {path}") if keys else crs
 

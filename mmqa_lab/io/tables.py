@@ -205,11 +205,6 @@ def coordinate_columns(names: Sequence[str]) -> list[str]:
 
 
 def _plain_name(name):
-    """A column's name without case and unit."""
-    return re.sub(r"(_m|[\[(]m[\])])$", "", str(name).lower().strip()).strip()
-
-
-def _plain_name(name):
     """A column's name without case and metres."""
     return re.sub(r"(_m|[\[(]m[\])])$", "", str(name).lower().strip()).strip()
 

@@ -113,7 +113,8 @@ def fit_displacement(test: ArrayLike, model: ArrayLike, pairs: ArrayLike) -> Dis
     unknown = Displacement(np.full(3, np.nan), np.full((3, 3), np.nan), pairs, np.nan, np.zeros(3))
     if len(np.unique(rows)) < 3:
         return unknown
-    lines = Pairs(*from_common_origin(test, model), rows, columns)
+    test, model = from_common_origin(test, model)
+    lines = Pairs(test, model, rows, columns)
     solution = np.zeros(4)
     normal = np.einsum("nkd,nke->de", lines.frame, lines.frame)
     if np.linalg.eigvalsh(normal)[0] < 1e-3 * len(rows):

@@ -5,8 +5,9 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -178,7 +179,8 @@ class LHD(Shown):
         rows, columns = np.nonzero(side.pairs)
         if side is self.model_test:  # in the order of its parts
             columns, rows = np.nonzero(side.pairs.T)
-        pairs = Pairs(*from_common_origin(self.test, self.model), rows, columns)
+        test, model = from_common_origin(self.test, self.model)
+        pairs = Pairs(test, model, rows, columns)
         moved = fit_displacement(self.test, self.model, side.pairs & truth)
         across = np.einsum("nkd,nd->nk", pairs.frame, moved.at(pairs.place))
         parts = side.parts
@@ -311,16 +313,16 @@ def lhd(
     check_choice(norm, "norm", ("pairs", "all"))
     test, model = check_segments(test, "test"), check_segments(model, "model")
     settings = {"weight": weight, "rotate": rotate, "within": within, "norm": norm}
-    one_way = partial(_one_way, threshold=threshold, **settings)
-    asked = matcher
+    settings["threshold"], asked = threshold, matcher
     if pairs is not None:
         pairs = check_pairs(pairs, (len(test), len(model)))
     elif matcher == "displaced":
         pairs = match_displaced(test, model, radius=radius).pairs
         if pairs.size and not pairs.any():
             pairs, matcher = None, "fragments"
-    there = one_way(test, model, matcher=matcher, pairs=pairs)
-    back = one_way(model, test, matcher=matcher, pairs=None if pairs is None else pairs.T)
+    there = _one_way(test, model, matcher=matcher, pairs=pairs, **settings)
+    turned = None if pairs is None else pairs.T
+    back = _one_way(model, test, matcher=matcher, pairs=turned, **settings)
     back = replace(back, pairs=back.pairs.T)
     remarks = _doubts(test, model, there, back)
     if matcher != asked:
@@ -381,7 +383,7 @@ def compare(
     *,
     reference: str | None = None,
     radius: float = 4.0,
-    **choices,
+    **choices: Any,
 ) -> pd.DataFrame:
     """Compare several sets of segments with each other in both directions, as in the paper.
 
@@ -422,7 +424,7 @@ def compare(
     ['C1 to C3', 'C3 to C1', 'C1 to TLS']
     """
     sets = {name: check_segments(segments, name) for name, segments in sets.items()}
-    numbers = {name: len(segments) for name, segments in sets.items()}
+    numbers = {name: len(np.asarray(segments)) for name, segments in sets.items()}
     if len(sets) < 2 or not all(numbers.values()):
         raise ValueError(f"Invalid sets {numbers}. Must be two or more sets with segments.")
     check_choice(reference, "reference", (None, *sets))
@@ -431,14 +433,15 @@ def compare(
     pairs += [(name, reference) for name in courses if reference is not None]
     tables = []
     for names in pairs:
-        table = _compared(names, *(sets[name] for name in names), radius, choices)
+        table = _compared(names, sets, radius, choices)
         table.insert(0, "kind", "absolute" if reference in names else "repeatability")
         tables.append(table)
     return pd.concat(tables, ignore_index=True)
 
 
-def _compared(names, test, model, radius, choices):
+def _compared(names, sets, radius, choices):
     """The two rows of a comparison."""
+    test, model = (sets[name] for name in names)
     with warnings.catch_warnings(action="ignore", category=UserWarning):
         found = lhd(test, model, radius=radius, **choices)
     moved = found.displacement

@@ -166,8 +166,8 @@ def correspond(
     distances = np.asarray(distances, dtype=np.float64)
     near = distances <= delta
     if matcher == "fragments":
-        lines = Pairs(*from_common_origin(test, model), *np.nonzero(near))
-        return apart(lines, distances[near])
+        test, model = from_common_origin(test, model)
+        return apart(Pairs(test, model, *np.nonzero(near)), distances[near])
     if matcher == "all" or not near.any():
         return near
     if matcher == "hungarian":  # a cell at the threshold still counts
@@ -175,11 +175,11 @@ def correspond(
         pairs = np.zeros_like(near)
         pairs[linear_sum_assignment(cost)] = True
         return pairs & near
-    rows, columns = np.indices(near.shape, sparse=True)
+    columns = np.arange(near.shape[1])
     nearest = near & (distances.argmin(axis=1, keepdims=True) == columns)
     if matcher == "nearest":
         return nearest
-    return nearest & (distances.argmin(axis=0) == rows)
+    return nearest & (distances.argmin(axis=0) == np.arange(len(near))[:, None])
 
 
 def apart(lines, costs):

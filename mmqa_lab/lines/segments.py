@@ -38,7 +38,7 @@ BLOCK_PAIRS = 500_000
 """Number of pairs computed at a time."""
 
 
-def check_segments(segments, name="segments"):
+def check_segments(segments: ArrayLike, name: str = "segments") -> np.ndarray:
     """Return segments as float64 of shape (n, 2, 3), n >= 0, all finite and with a length.
 
     Raises ``TypeError`` if they are not real numbers, ``ValueError`` if a segment is invalid.

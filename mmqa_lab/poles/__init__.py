@@ -18,6 +18,7 @@ and wires are none.
 from __future__ import annotations
 
 import warnings
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -41,7 +42,7 @@ __all__ = ["METHODS", "Score", "detect", "match", "score"]
 
 
 def detect(
-    points: Cloud | ArrayLike, *, method: str = "learned", explain: bool = False, **choices
+    points: Cloud | ArrayLike, *, method: str = "learned", explain: bool = False, **choices: Any
 ) -> pd.DataFrame:
     """Detect poles.
 

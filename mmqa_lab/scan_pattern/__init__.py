@@ -114,11 +114,11 @@ class ScanSetup:
     [-0.5, 0.5, 0.7071]
     """
 
-    pulse_rate_hz: float
-    mirror_frequency_hz: float
-    speed_m_s: float
-    scanner_heading_deg: float = 0.0
-    scanner_tilt_deg: float = 0.0
+    pulse_rate_hz: float | np.ndarray
+    mirror_frequency_hz: float | np.ndarray
+    speed_m_s: float | np.ndarray
+    scanner_heading_deg: float | np.ndarray = 0.0
+    scanner_tilt_deg: float | np.ndarray = 0.0
 
     def __post_init__(self):
         for name in SETUP_NAMES:
@@ -187,10 +187,10 @@ class Target:
     [-0.8365, -0.2241, 0.5]
     """
 
-    heading_deg: float = 0.0
-    tilt_deg: float = 0.0
-    range_m: float
-    height_difference_m: float = 0.0
+    heading_deg: float | np.ndarray = 0.0
+    tilt_deg: float | np.ndarray = 0.0
+    range_m: float | np.ndarray
+    height_difference_m: float | np.ndarray = 0.0
 
     def __post_init__(self):
         for name in TARGET_NAMES.values():

@@ -281,11 +281,11 @@ def _figures(fit, pulse):
     """
     count = min(BLOCKS, len(fit.numbers))
     block_of = np.arange(len(fit.numbers)) * count // len(fit.numbers)
-    left = count, block_of[fit.group]
+    blocks = block_of[fit.group]
     ones, terms = np.ones_like(fit.x), _profile_terms(fit.x, fit.y, fit.off)
-    _, rise, fall = _left_out(np.stack([ones, fit.x, fit.y], axis=1), fit.off, *left).T
+    _, rise, fall = _left_out(np.stack([ones, fit.x, fit.y], axis=1), fit.off, blocks).T
     means, level = group_means(terms, fit.group), group_means(fit.y, fit.group)
-    slopes = _left_out(terms - means[fit.group], fit.y - level[fit.group], *left)
+    slopes = _left_out(terms - means[fit.group], fit.y - level[fit.group], blocks)
     used = block_of != np.arange(-1, count)[:, None]
     gap = np.abs(_slopes(fit.numbers, level - slopes @ means.T, used * np.bincount(fit.group)))
     gap *= 1 + slopes[:, 1] * fall
@@ -300,14 +300,14 @@ def _figures(fit, pulse):
     if np.isfinite(pulse).all():
         terms = _pulse_terms(fit.x, fit.y, fit.off)
         terms -= group_means(terms, fit.group)[fit.group]
-        rates = _left_out(terms, pulse - group_means(pulse, fit.group)[fit.group], *left)
+        rates = _left_out(terms, pulse - group_means(pulse, fit.group)[fit.group], blocks)
         spacing = np.abs(1 / (rates[:, 0] + rates[:, -1] * rise))
     with np.errstate(divide="ignore", invalid="ignore"):
         figures = gap, gap / np.sin(angle), gap / np.cos(angle), np.degrees(angle), spacing
     return np.stack(np.broadcast_arrays(*figures), axis=1)
 
 
-def _left_out(terms, values, count, block):
+def _left_out(terms, values, block):
     """Least squares of values (n,) on terms (n, k), with all rows and without each block."""
     rows = np.column_stack([terms, values])[np.argsort(block, kind="stable")]
     parts = np.split(rows, np.cumsum(np.bincount(block))[:-1])

@@ -136,7 +136,7 @@ class Tree(NamedTuple):
     low: np.ndarray  # (nodes, 3) corner of each node's box
     high: np.ndarray
     link: np.ndarray  # (nodes,) first primitive of a leaf, right child of an inner node
-    count: np.ndarray  # (nodes,) primitives of a leaf, 0 in inner nodes
+    primitives: np.ndarray  # (nodes,) primitives of a leaf, 0 in inner nodes
     axis: np.ndarray  # (nodes,) split axis
     kind: np.ndarray  # (n,)
     centre: np.ndarray  # (n, 3) from the origin of the scene
@@ -284,10 +284,10 @@ def nearest(tree, stack, rays, best, hit):
     while depth > 0:
         depth -= 1
         node = stack[depth]
-        if tree.count[node] > 0:
+        if tree.primitives[node] > 0:
             for k in range(len(rays)):
                 if _may_hit(low, high, node, rays, k, best[k]):
-                    for i in range(tree.link[node], tree.link[node] + tree.count[node]):
+                    for i in range(tree.link[node], tree.link[node] + tree.primitives[node]):
                         t = _range_to(tree, i, rays, k, best[k])
                         if t < best[k]:
                             best[k], hit[k] = t, i

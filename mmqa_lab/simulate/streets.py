@@ -301,7 +301,7 @@ def shaft(rng, at, kind, radius, top_radius, height, lean_deg=1.0):
     return surface, truth
 
 
-def _lamp(rng, at, side, plan):
+def _lamp(rng, at, side, _):
     """A lamp post with an arm and a head over the road; ``side`` is +1 right of it, -1 left."""
     radius, end = rng.uniform(0.055, 0.1), rng.uniform(0.03, 0.045)
     height, arm = rng.uniform(4.5, 9.0), rng.uniform(0.3, 2.0)
@@ -313,7 +313,7 @@ def _lamp(rng, at, side, plan):
     return [post, group(parts, label="lamp head")], truth
 
 
-def _sign(rng, at, side, plan):
+def _sign(rng, at, *_):
     """A sign: a thin post with one or two boards that face along the road."""
     radius, height = rng.choice([0.03, 0.038, 0.045]), rng.uniform(2.2, 3.4)
     post, truth = shaft(rng, at, "sign", radius, radius, height)
@@ -333,7 +333,7 @@ def _sign(rng, at, side, plan):
     return [post, group(plates, label="board")], truth
 
 
-def _tree(rng, at, side, plan):
+def _tree(rng, at, _, plan):
     """A tree: trunk and crown, which is low as often as the plan says."""
     radius, taper = rng.uniform(0.06, 0.2), rng.uniform(0.6, 0.9)
     crown_radius, crown_height = rng.uniform(1.0, 2.4), rng.uniform(2.5, 5.0)
@@ -345,12 +345,12 @@ def _tree(rng, at, side, plan):
     return [trunk, leaves], truth | {"clear_height_m": base}
 
 
-def _other(rng, at, side, plan):
+def _other(rng, at, *_):
     """A utility pole or the post of a traffic light; four times in ten a bollard or a meter."""
     if rng.random() < 0.6:
         radius, height, taper = rng.uniform([0.05, 3.0, 0.6], [0.15, 9.0, 1.0])
     else:
-        radius, height, taper = *rng.uniform([0.025, 1.1], [0.09, 1.5]), 1.0
+        radius, height, taper = np.append(rng.uniform([0.025, 1.1], [0.09, 1.5]), 1.0)
     post, truth = shaft(rng, at, "other", radius, radius * taper, height)
     return [post], truth
 

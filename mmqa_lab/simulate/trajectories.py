@@ -7,8 +7,10 @@ vehicle to world is Rz(-heading) Rx(pitch) Ry(roll).
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_number, check_points, check_positive
 from mmqa_lab.rotations import rotations
@@ -51,9 +53,16 @@ class Trajectory:
 
     time: np.ndarray
     position: np.ndarray
-    roll: np.ndarray = 0.0
-    pitch: np.ndarray = 0.0
-    heading: np.ndarray = 0.0
+    roll: np.ndarray = 0.0  # type: ignore[assignment]  # an array from here on
+    pitch: np.ndarray = 0.0  # type: ignore[assignment]
+    heading: np.ndarray = 0.0  # type: ignore[assignment]
+
+    if TYPE_CHECKING:  # what is array_like goes in, and arrays come out
+
+        def __init__(
+            self, time: ArrayLike, position: ArrayLike,
+            roll: ArrayLike = 0.0, pitch: ArrayLike = 0.0, heading: ArrayLike = 0.0,
+        ): ...  # fmt: skip
 
     def __post_init__(self):
         position = check_points(self.position, name="positions", minimum=2)
@@ -158,8 +167,8 @@ class NavigationErrors:
     (0.0, True)
     """
 
-    drift_m: tuple = 0.0
-    drift_deg: tuple = 0.0
+    drift_m: float | tuple[float, float, float] = 0.0
+    drift_deg: float | tuple[float, float, float] = 0.0
     correlation_s: float = 60.0
 
 

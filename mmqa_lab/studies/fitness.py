@@ -1,6 +1,7 @@
 """Fit for what? Figures of a chart beside what can be done with a cloud of the same acquisition."""
 
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -272,7 +273,7 @@ def make(draw, number, *, seed, **case):
     return evaluate_cloud(points["chart"] @ axes, polygon=chart_polygon(square @ axes)), errors
 
 
-METHODS = {
+METHODS: dict[str, Callable] = {
     "density": lambda chart: 1000 / np.sqrt(chart.n / chart.outline.area),
     "sigma_MAD": lambda chart: chart.sigma_mad_mm,
     **{f"d{k + 1}": lambda chart, k=k: chart.d_mm[k] for k in range(4)},

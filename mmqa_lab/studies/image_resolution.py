@@ -64,7 +64,7 @@ def edge_patch(lens, mtf50, noise, seed):
     return image, {"mtf50": spread.mtf50(angle), "fwhm_px": spread.fwhm(angle)}
 
 
-def real_patch(photograph, seed=0):
+def real_patch(photograph, **_):
     """Return an edge of a real photograph, and its MTF50 by other tools."""
     name, part, other = REAL_EDGES[photograph]
     return io.read_image(samples.real_path(name))[part] / 255, {"mtf50": other}

@@ -78,7 +78,7 @@ def _post(rng, at, out):
     return [post, *(beside if rng.random() < 0.6 else [])], truth if slender else None, 0.5
 
 
-def _tree(rng, at, out):
+def _tree(rng, at, _):
     """A tree, one time in three between stakes."""
     radius, base, size = rng.uniform([0.06, 1.2, 0.8], [0.25, 4.0, 3.5])
     trunk, truth = streets.shaft(rng, at, "tree", radius, radius, base + 0.5, 3)
@@ -106,7 +106,7 @@ def _person(rng, at, out):
     return parts, None, 1.0
 
 
-def _gate(rng, at, out):
+def _gate(rng, at, _):
     """Pillars at most five times as high as wide, of any section, with a gate and a low wall."""
     draw, wide = rng.uniform, rng.uniform(0.25, 0.7)
     height, round_, cap = draw(0.9, min(5 * wide, 3)), rng.random() < 0.25, draw(0, 0.1)
@@ -124,7 +124,7 @@ def _gate(rng, at, out):
     return parts, None, gap + 1
 
 
-def _fence(rng, at, out):
+def _fence(rng, at, _):
     """Posts with rails or with panels between them."""
     height, radius, step = rng.uniform([0.9, 0.03, 1.2], [2.0, 0.08, 2.6])
     n, panels, parts = rng.integers(2, 5), rng.random() < 0.4, []
@@ -152,7 +152,7 @@ def _porch(rng, at, out):
     return parts, None, half[1]
 
 
-def _guyed(rng, at, out):
+def _guyed(rng, at, _):
     """A mast with guy wires and wires overhead."""
     height, radius = rng.uniform([4, 0.06], [10, 0.17])
     post, truth = streets.shaft(rng, at, "other", radius, radius * rng.uniform(0.6, 1), height)

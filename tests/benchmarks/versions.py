@@ -197,7 +197,10 @@ def seconds(folder, code, size):
     environment = os.environ | threads | {"PYTHONPATH": str(folder)}
     done = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", text, str(size)],
-        **{"env": environment, "cwd": "/", "capture_output": True, "text": True},
+        env=environment,
+        cwd="/",
+        capture_output=True,
+        text=True,
     )
     if done.returncode:
         print(f"left out at {folder}: {done.stderr.strip().splitlines()[-1]}")
