@@ -8,6 +8,9 @@ from typing import Any, cast
 import numpy as np
 import pandas as pd
 
+NORMAL = 1.96
+"""Half the 95 % interval of normal errors, over their standard deviation."""
+
 
 class Shown:
     """A result that shows itself as the table of ``to_frame``, a single row upright.
@@ -30,12 +33,28 @@ class Shown:
                 row[name + unit] = value
         return pd.DataFrame([row])
 
+    def intervals(self) -> pd.DataFrame:
+        """Return ``figure``, ``value``, ``low``, ``high``, ``unit``: the 95 % confidence intervals.
+
+        A row for each figure that has one; NaN where it is not known.
+        """
+        return pd.DataFrame(self._ends(), columns=["figure", "value", "low", "high", "unit"])
+
+    def _ends(self):
+        """The rows of ``intervals``; none of a result without."""
+        return []
+
     def _repr_html_(self):
         """The table as HTML: four digits a number, three decimals of large coordinates."""
         frame = self.to_frame()
         if len(frame) == 1:
             frame = frame.T.rename(columns={frame.index[0]: type(self).__name__})
         return frame.to_html(float_format=_digits, max_rows=30)
+
+
+def about(figure, value, std, unit):
+    """The row of ``intervals`` of a figure with normal errors."""
+    return figure, value, value - NORMAL * std, value + NORMAL * std, unit
 
 
 def sentences(*remarks):

@@ -90,6 +90,12 @@ class Calibration(Shown):
         """Array (heads, 6) of the estimates, degrees and metres."""
         return self.table["value"].to_numpy().reshape(-1, len(PARAMETERS))
 
+    def _ends(self):
+        table = self.table
+        names = table["parameter"] + " of head " + table["head"].astype(str)
+        units = np.where(table["parameter"].str.endswith("_deg"), "deg", "m")
+        return zip(names, table["value"], table["low"], table["high"], units, strict=True)
+
     def to_frame(self) -> pd.DataFrame:
         """Return the table, in degrees and metres, with the remarks."""
         return self.table.assign(remarks=self.remarks)

@@ -27,7 +27,7 @@ from scipy.optimize import least_squares, minimize_scalar
 from scipy.special import expit, j1, ndtr
 
 from mmqa_lab._checks import check_choice, check_count, check_image, check_number, check_positive
-from mmqa_lab._results import Shown
+from mmqa_lab._results import Shown, about
 from mmqa_lab.chart_image.placing import ChartMap
 from mmqa_lab.chart_image.reading import Tones, read_pattern, resolution
 from mmqa_lab.charts import LinePairs
@@ -135,6 +135,9 @@ class EdgeResponse(Shown):
     distance_px: np.ndarray
     lsf: np.ndarray
     remark: str = ""
+
+    def _ends(self):
+        return [about("mtf50", self.mtf50, self.mtf50_sigma, "1/px")]
 
 
 def fit_edge(image: ArrayLike, *, method: str = "binned") -> EdgeResponse:
@@ -592,6 +595,9 @@ class StarMtf(Shown):
     def mtf50_sigma(self) -> float:
         """Standard deviation of the frequency of half the contrast."""
         return self._falls_to(0.5)[1]
+
+    def _ends(self):
+        return [about("mtf50", *self._falls_to(0.5), "1/px")]
 
     def _falls_to(self, share):
         """Frequency of a share of the contrast and its standard deviation.

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_points, check_positive
-from mmqa_lab._results import Shown
+from mmqa_lab._results import Shown, about
 from mmqa_lab.stats import CONSISTENT_SCALE
 
 __all__ = [
@@ -301,6 +301,10 @@ class Circle(Shown):
 
     _metres = ("centre", "radius", "std")
     _derived = ("std",)
+
+    def _ends(self):
+        rows = zip(("x", "y"), self.centre, np.sqrt(np.diag(self.covariance)), strict=True)
+        return [about(*row, "m") for row in rows]
 
     @property
     def std(self) -> float:

@@ -45,6 +45,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.sparse.linalg import splu
+from scipy.special import stdtrit
 from scipy.stats import median_abs_deviation
 
 from mmqa_lab._checks import check_columns, check_count, check_number, check_positive
@@ -124,6 +125,11 @@ class SensorFit(Shown):
     def n(self) -> int:
         """Number of targets used."""
         return int(np.isfinite(self.residuals).sum())
+
+    def _ends(self):
+        reach = stdtrit(self.freedom, 0.975) * self.std
+        rows = ("gain", self.gain, reach[0], "DN"), ("offset", self.offset, reach[1], "DN")
+        return [(name, value, value - r, value + r, unit) for name, value, r, unit in rows]
 
     @property
     def freedom(self) -> int:

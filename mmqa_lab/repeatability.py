@@ -175,6 +175,9 @@ class Repeatability(Shown):
         """Repeatability limit 2.8 s_r."""
         return LIMIT * self.s_r
 
+    def _ends(self):
+        return [("s_r", self.s_r, self.s_r_low, self.s_r_high, "as the figure")]
+
     def to_frame(self) -> pd.DataFrame:
         """Return a row with all fields, ``r``, and ``relative_s_r_percent`` with its interval."""
         percent = 100 / self.mean if self.mean else np.nan

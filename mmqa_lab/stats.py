@@ -83,6 +83,9 @@ class Rate(Shown):
     low: float
     high: float
 
+    def _ends(self):
+        return [("share", self.value, self.low, self.high, "1")]
+
     def __str__(self):
         return f"{self.value:.3f} [{self.low:.3f}, {self.high:.3f}] ({self.k}/{self.n})"
 
@@ -217,6 +220,9 @@ class Interval(Shown):
     value: float
     low: float
     high: float
+
+    def _ends(self):
+        return [("statistic", self.value, self.low, self.high, "")]
 
 
 def bootstrap(

@@ -20,7 +20,7 @@ from scipy import stats
 from scipy.spatial.distance import cdist
 
 from mmqa_lab._checks import check_positive
-from mmqa_lab._results import Shown
+from mmqa_lab._results import Shown, about
 from mmqa_lab.lines.pairing import Pairs, apart, levers
 from mmqa_lab.lines.segments import components, from_common_origin, lengths, midpoints
 
@@ -75,13 +75,16 @@ class Displacement(Shown):
         """Displacement (m, 3) at places (m, 3) relative to the middle of the model lines, m."""
         return self.vector + np.radians(self.turn_deg) * levers(places - self.centre)
 
+    def _ends(self):
+        names, std = [f"displacement_{axis}" for axis in "xyz"], np.sqrt(np.diag(self.covariance))
+        return [about(*row, "m") for row in zip(names, self.vector, std, strict=True)]
+
     def to_frame(self) -> pd.DataFrame:
         """Return a row for x, y and z: value, standard deviation, 95 % interval (m), pairs."""
         frame = pd.DataFrame({"axis": [*"xyz"], "value_m": self.vector})
         frame["std_m"] = np.sqrt(np.diag(self.covariance))
-        frame["low_m"] = frame["value_m"] - 1.96 * frame["std_m"]
-        frame["high_m"] = frame["value_m"] + 1.96 * frame["std_m"]
-        return frame.assign(n=self.n)
+        ends = self.intervals()
+        return frame.assign(low_m=ends["low"], high_m=ends["high"], n=self.n)
 
 
 def fit_displacement(test: ArrayLike, model: ArrayLike, pairs: ArrayLike) -> Displacement:

@@ -143,8 +143,12 @@ class LHD(Shown):
         sides = self.test_model, self.model_test
         return max(sides, key=lambda side: np.nan_to_num(side.olhd(self.weight), nan=-1))
 
-    def interval(self, *, seed: int = 0) -> tuple[float, float]:
-        """95 % confidence interval of the value for fixed pairs and threshold: (low, high), m.
+    def _ends(self):
+        return [("lhd", self.value, *self._interval, "m")]
+
+    @cached_property
+    def _interval(self):
+        """Interval of the value for fixed pairs and threshold: (low, high), m.
 
         By bootstrap of the source segments with their pairs, widened by Student's t. It covers the
         choice of the segments, not errors of the pairs. NaN with fewer than two sources.
@@ -154,7 +158,7 @@ class LHD(Shown):
         n = len(sources)
         if n < 2:
             return np.nan, np.nan
-        drawn = np.random.default_rng(seed).multinomial(n, np.full(n, 1 / n), size=1000)
+        drawn = np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), size=1000)
         weights = np.vstack([side.share, drawn[:, source] * side.share])
         # each draw is divided by its own sum of weights, for both norms
         value, *draws = weights @ side.parts.distance(self.weight) / weights.sum(axis=1)
@@ -450,7 +454,7 @@ def _compared(names, sets, radius, choices):
     table, remarks = found.to_frame(), found.remarks
     table["direction"] = " to ".join(names), " to ".join(names[::-1])
     table.insert(0, "comparison", "-".join(names))
-    table["lhd_low_m"], table["lhd_high_m"] = found.interval()
+    table["lhd_low_m"], table["lhd_high_m"] = found.intervals()[["low", "high"]].to_numpy()[0]
     for k, axis in enumerate("xyz"):
         table[f"displacement_{axis}_m"] = moved.vector[k]
         table[f"sigma_{axis}_m"] = np.sqrt(moved.covariance[k, k])

@@ -128,6 +128,10 @@ class Score(Shown):
         rates = {"recall": self.recall, "precision": self.precision}
         return pd.DataFrame([{"quantity": name, **vars(rate)} for name, rate in rates.items()])
 
+    def _ends(self):
+        rates = (("recall", self.recall), ("precision", self.precision))
+        return [(name, rate.value, rate.low, rate.high, "1") for name, rate in rates]
+
     @property
     def f1(self) -> float:
         """Harmonic mean of recall and precision."""

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from scipy.special import stdtrit
 
 from mmqa_lab._checks import check_points
-from mmqa_lab._results import Shown
+from mmqa_lab._results import Shown, about
 from mmqa_lab.planes import TUKEY, fit_plane, sigma_mad
 from mmqa_lab.scan_pattern.mimic import LEVEL
 
@@ -84,6 +84,10 @@ class PatternMeasurement(Shown):
     profile_angle_deg: float
     point_spacing_m: float
     std: dict
+
+    def _ends(self):
+        rows = ((name, getattr(self, name), std) for name, std in self.std.items())
+        return [about(*row, "deg" if row[0].endswith("_deg") else "m") for row in rows]
 
     def to_frame(self) -> pd.DataFrame:
         """Return ``quantity``, ``measured``, ``std``, ``n`` (profiles or points)."""

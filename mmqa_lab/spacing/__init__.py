@@ -147,7 +147,7 @@ class Spacing(Shown):
         return directional(self.xy)
 
     @cached_property
-    def _ends(self):
+    def _bounds(self):
         """95 % confidence intervals of d1..d4 (m) and f, shape (5, 2)."""
         ends = [stats.median_interval(distances, self.waves) for distances in self.distances.T]
         nearest, farthest = self.distances.T[[0, -1]]
@@ -182,7 +182,7 @@ class Spacing(Shown):
 
         Intervals allow for errors of whole scan lines if points lie in lines: :func:`line_waves`.
         """
-        table = _table(["d1", "d2", "d3", "d4", "f"], [*self.d, self.f], self._ends)
+        table = _table(["d1", "d2", "d3", "d4", "f"], [*self.d, self.f], self._bounds)
         return table.assign(n=[*self.counts, self.counts[-1]])
 
     to_frame = intervals
@@ -429,7 +429,7 @@ class DirectionalSpacing(Shown):
         return self.across / self.along
 
     @cached_property
-    def _ends(self):
+    def _bounds(self):
         """95 % confidence intervals of along, across and g, shape (3, 2)."""
         block = line_waves(self.xy, self)
         places = (self.direction_deg + np.array([0, 90])) / STEP_DEG
@@ -454,7 +454,7 @@ class DirectionalSpacing(Shown):
         The intervals hold for the direction found, and come from :func:`line_waves`.
         """
         values = [self.along, self.across, self.g]
-        table = _table(["along", "across", "g"], values, self._ends)
+        table = _table(["along", "across", "g"], values, self._bounds)
         return table.assign(direction_deg=self.direction_deg, n=self.n)
 
     to_frame = intervals
