@@ -107,9 +107,11 @@ def test_each_check_can_fail():
     whole |= {"steep": 2.0, "flat": 0.1, "trends": slopes, "off": {False: 0.001, True: 0.001}}
     whole |= {"passed": True, "covered": pd.Series([True]), "largest": 1.1, "rest": rest}
     whole |= {"before": 10 * rest, "mean": {"I": 30.0, "II": 13.0}} | real
+    whole |= {"held": 10, "of_drives": 10}
     assert spoiled("test_field", whole) == []
     changes = {
         "The root of squares": {"agree": 0.4},
+        "Simulated heights fall": {"held": 7},
         "Sheets predict": {"by_sheets": 8},
         "A wrong roll": {"steep": 0.3},
         "Two drives determine": {"passed": False},
