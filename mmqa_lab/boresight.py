@@ -36,7 +36,7 @@ from mmqa_lab.cloud import Cloud
 from mmqa_lab.planes import fit_circle, sigma_mad
 from mmqa_lab.rotations import rotations
 
-__all__ = ["FEWEST", "Calibration", "calibrate", "corrected"]
+__all__ = ["LEAST_POINTS", "Calibration", "calibrate", "corrected"]
 
 PARAMETERS = ("roll_deg", "pitch_deg", "heading_deg", "x_m", "y_m", "z_m")
 """Parameters of each head: boresight, and corrections to the assumed lever arm."""
@@ -44,19 +44,19 @@ PARAMETERS = ("roll_deg", "pitch_deg", "heading_deg", "x_m", "y_m", "z_m")
 UNIT = np.array([180 / np.pi] * 3 + [1.0] * 3)
 """Factors from radians and metres to the units of the parameters."""
 
-AXES = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+TURN_AXES = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """Axes of roll, pitch and heading."""
 
 CELL_M = 1.0
 """Diameter of the balls in which planes are looked for."""
 
-ROUGHNESS_M, GAP_M, SAME_DEG = 0.03, 0.3, 5.0
+ROUGHNESS_M, SAME_M, SAME_DEG = 0.03, 0.3, 5.0
 """Largest roughness, distance and angle between planes of a ball that are the same surface."""
 
-FEWEST, MOST = 15, 100
+LEAST_POINTS, MOST_POINTS = 15, 100
 """Least and largest number of points of a drive's head on a plane; least number on a pole."""
 
-POLE_SEARCH_M, POLE_HEIGHTS_M, POLE_GATE_M = 0.5, (0.4, 6.0), 0.05
+POLE_REACH_M, POLE_HEIGHTS_M, POLE_GATE_M = 0.5, (0.4, 6.0), 0.05
 """Points of a pole: distance in plan, heights above its foot, and distance from its circle."""
 
 CONTROL_M = 0.3
@@ -312,8 +312,8 @@ class _Shots:
         """
         beam, point = self.inside(values)
         across = np.einsum("nij,ni->nj", self.rotation, way)
-        own = np.hstack([np.cross(beam, across) @ AXES.T, across])
-        paths = np.hstack([way, np.cross(point, across) @ AXES.T])
+        own = np.hstack([np.cross(beam, across) @ TURN_AXES.T, across])
+        paths = np.hstack([way, np.cross(point, across) @ TURN_AXES.T])
         heads, count = len(values), self.drive.max() + 1
         table = np.zeros((len(way), heads + count, 6))
         rows = np.arange(len(way))
@@ -348,16 +348,18 @@ def _shared(points, place, group):
     starts = np.flatnonzero(np.diff(np.stack([place, group])[:, order], prepend=-1).any(axis=0))
     n, _, centre, variance, axes = _moments(points[order], starts)
     rough, width = np.sqrt(variance[:, :2]).T
-    flat = (n >= FEWEST) & (rough <= ROUGHNESS_M) & (width >= np.maximum(5 * rough, 0.1))
+    flat = (n >= LEAST_POINTS) & (rough <= ROUGHNESS_M) & (width >= np.maximum(5 * rough, 0.1))
     flat = np.flatnonzero(flat)
     flat = flat[np.lexsort((-n[flat], place[order][starts[flat]]))]  # the largest group first
     where, centre, normal = place[order][starts[flat]], centre[flat], axes[flat, :, 0]
     first = np.unique(where, return_index=True, return_inverse=True)
     best = first[1][first[2]]
     same = np.abs((normal * normal[best]).sum(axis=1)) > np.cos(np.radians(SAME_DEG))
-    same &= np.abs(((centre - centre[best]) * normal[best]).sum(axis=1)) < GAP_M
+    same &= np.abs(((centre - centre[best]) * normal[best]).sum(axis=1)) < SAME_M
     columns = {"place": where, "side": np.abs(normal).argmax(axis=1), "centre": list(centre)}
-    rows = [order[k : k + min(many, MOST)] for k, many in zip(starts[flat], n[flat], strict=True)]
+    rows = [
+        order[k : k + min(many, MOST_POINTS)] for k, many in zip(starts[flat], n[flat], strict=True)
+    ]
     table = pd.DataFrame(columns | {"rows": rows})[same]
     table = table[table["place"].duplicated(keep=False)]
     if table.empty:
@@ -381,7 +383,7 @@ def _heights(placed, control):
     index = np.flatnonzero(np.isfinite(gap))
     index = index[np.abs(placed[index, 2] - control[which[index], 2]) < CONTROL_M]
     parts = pd.Series(index).groupby(which[index])
-    return [(part.to_numpy(), control[k, 2]) for k, part in parts if len(part) >= FEWEST]
+    return [(part.to_numpy(), control[k, 2]) for k, part in parts if len(part) >= LEAST_POINTS]
 
 
 def _poles(placed, group, poles, origin):
@@ -389,19 +391,19 @@ def _poles(placed, group, poles, origin):
     tree, found = cKDTree(placed[:, :2]), []
     for pole in [] if poles is None else poles.to_dict("records"):
         foot = np.array([pole["x_m"], pole["y_m"], pole["z_m"]]) - origin
-        index = np.array(tree.query_ball_point(foot[:2], POLE_SEARCH_M), dtype=int)
+        index = np.array(tree.query_ball_point(foot[:2], POLE_REACH_M), dtype=int)
         above = placed[index, 2] - foot[2]
         index = index[(above > POLE_HEIGHTS_M[0]) & (above < POLE_HEIGHTS_M[1])]
         diameter = pole["diameter_m"] if pole.get("diameter_m", 0) > 0 else None
         parts = []
         for part in (index[group[index] == name] for name in np.unique(group[index])):
-            if len(part) < FEWEST:
+            if len(part) < LEAST_POINTS:
                 continue
             circle = fit_circle(placed[part, :2], diameter=diameter)
             off = placed[part, :2] - circle.centre
             away = np.hypot(*off.T)
             near = np.abs(away - circle.radius) < POLE_GATE_M
-            if np.isfinite(circle.std) and near.sum() >= FEWEST:
+            if np.isfinite(circle.std) and near.sum() >= LEAST_POINTS:
                 parts.append((part[near], off[near] / away[near, None]))
         if len(parts) > 1:
             index, ways = map(np.concatenate, zip(*parts, strict=True))

@@ -20,7 +20,7 @@ from mmqa_lab._checks import check_choice, check_number, check_points, check_pol
 from mmqa_lab._results import Shown, sentences
 from mmqa_lab.planes import CONSISTENT_SCALE, Plane, fit_plane, sigma_mad
 from mmqa_lab.spacing import (
-    FEWEST,
+    FEWEST_POINTS,
     DirectionalSpacing,
     EmptySpace,
     Spacing,
@@ -37,13 +37,13 @@ if TYPE_CHECKING:
 __all__ = ["CloudQuality", "chart_polygon", "evaluate_cloud", "inside_polygon"]
 __dir__ = __all__.copy
 
-UPRIGHT = 0.7
+UPRIGHT_COSINE = 0.7
 """A surface is upright if the cosine of its slope is smaller. Its default axes are horizontal."""
 
 ALIKE = 1.1
 """Ratio of the two largest variances below which the principal axes have a random direction."""
 
-FAR = 3.0
+FAR_QUANTILES = 3.0
 """Points farther than this many 90 % quantiles of all distances get a remark."""
 
 PAIRS = 5.0
@@ -59,7 +59,7 @@ BENT = 0.5
 """Share of the variance of the distances, explained by a surface of second degree, above which a
 remark is given."""
 
-SHOWN = 10_000
+MOST_DRAWN = 10_000
 """Most points that are drawn."""
 
 GRID = (np.arange(100) + 0.5) / 100
@@ -312,7 +312,7 @@ class CloudQuality(Shown):
         from mmqa_lab import plots
 
         figure, axes = plots.subplots(2, 2, width="double", height_mm=130)
-        step, limit = 1 + self.n // SHOWN, 3 * self.sigma_mad_mm
+        step, limit = 1 + self.n // MOST_DRAWN, 3 * self.sigma_mad_mm
         ring = shapely.get_coordinates(shapely.boundary(self.outline))
         missed = np.empty((0, 2)) if detail is None else self.details(detail)[1]
         xy, ring, missed = (
@@ -364,7 +364,7 @@ class CloudQuality(Shown):
     def _density_interval(self):
         """Density in the outline and its interval."""
         density = self.n / self.outline.area if self.outline.area else np.nan
-        if np.isnan(density) or self.n < FEWEST:
+        if np.isnan(density) or self.n < FEWEST_POINTS:
             return density, np.nan, np.nan
         low, high = np.reshape(self.outline.bounds, (2, 2))
         x, y = np.meshgrid(*(low + (high - low) * GRID[:, None]).T)
@@ -463,7 +463,7 @@ def evaluate_cloud(
         points = points[inside]
     plane = fit_plane(points)
     if axes is None:
-        axes = "horizontal" if abs(plane.normal[2]) < UPRIGHT else "principal"
+        axes = "horizontal" if abs(plane.normal[2]) < UPRIGHT_COSINE else "principal"
     framed = replace(plane, axes=_directions(plane, axes))
     xy = framed.project(points)
     gaps = quadrants(xy, radius=radius)
@@ -578,7 +578,7 @@ def _remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
     """Remarks on figures that these points cannot give or give wrongly."""
     d1_mm, d2_mm = 1000 * gaps.d[:2]
     away = np.hypot(*(gaps.xy - np.median(gaps.xy, axis=0)).T)
-    far = away > FAR * np.quantile(away, 0.9)
+    far = away > FAR_QUANTILES * np.quantile(away, 0.9)
     coarse = [f"sigma_MAD {sigma_mm:.3g} mm"] * int(step_mm > sigma_mm)
     coarse += [f"d1 {d1_mm:.3g} mm"] * int(step_mm > d1_mm / 5)
     return sentences(
@@ -608,7 +608,7 @@ def _remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
                 "a pulse or from a repeated scan; density and f count both."
             ),
         ),
-        (gaps.n < FEWEST, f"Fewer than {FEWEST} points: no confidence intervals."),
+        (gaps.n < FEWEST_POINTS, f"Fewer than {FEWEST_POINTS} points: no confidence intervals."),
         (
             _by_chance(gaps.xy, axes),
             "Points spread alike in all directions: principal axes, and f, are by chance. So d1 to "
@@ -632,7 +632,7 @@ def _by_chance(xy, axes):
 
 def _remark_on_form(xy, residuals_mm, step_mm, scale):
     """A remark if the form of a surface, bent or stepped, is most of its distances from a plane."""
-    if len(xy) < FEWEST or np.std(residuals_mm) < max(step_mm / 4, COARSE_MM):
+    if len(xy) < FEWEST_POINTS or np.std(residuals_mm) < max(step_mm / 4, COARSE_MM):
         return []
     x, y = (xy / np.abs(xy).max()).T
     terms = np.array([np.ones_like(x), x, y, x * x, x * y, y * y])

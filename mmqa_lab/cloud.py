@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike
 
-from mmqa_lab._checks import check_choice, check_points, check_same_crs
+from mmqa_lab._checks import check_choice, check_columns, check_plan, check_points, check_same_crs
 
 if TYPE_CHECKING:
     from pyproj import CRS
@@ -267,19 +267,42 @@ def _has_neighbour(points, seed, share):
     return ((square > 0) & (square < FARTHEST_NEIGHBOUR_M**2 / share)).any()
 
 
-def path_distance(xy: ArrayLike, path: ArrayLike) -> np.ndarray:
-    """Return the horizontal distance of points (n, 2) from a polyline (m, 2), metres.
+def path_distance(points: ArrayLike, path: Any) -> np.ndarray:
+    """Return the distance in plan of points from a path.
+
+    Parameters
+    ----------
+    points : array_like, shape (n, 2 or 3)
+        Metres.
+    path : array_like, shape (m, 2 or 3), or DataFrame
+        Vertices in order, m >= 2, or a table with ``easting_m`` and ``northing_m``.
+
+    Returns
+    -------
+    array, shape (n,)
+
+    Raises
+    ------
+    ValueError
+        If the path has fewer than two vertices, a table of it lacks a column, or a value is not
+        finite.
 
     Examples
     --------
-    >>> path_distance([[1.0, 5.0], [0.0, 12.0]], [[0.0, 0.0], [0.0, 10.0]])
-    array([1., 2.])
+    >>> path_distance([[3, 5, 0], [0, 14, 0]], [[0, 0], [0, 10]]).tolist()
+    [3.0, 4.0]
     """
+    import pandas as pd
     import shapely
 
-    path = np.asarray(path)
-    line = shapely.LineString(path) if len(path) > 1 else shapely.Point(path[0])
-    return shapely.distance(shapely.points(xy), line)
+    if isinstance(path, pd.DataFrame):
+        check_columns(path, ("easting_m", "northing_m"), "path")
+        path = path[["easting_m", "northing_m"]]
+    path = check_plan(path, name="path", minimum=2)
+    points = check_plan(points, minimum=0)
+    origin = path.mean(axis=0).round()
+    line = shapely.LineString(path - origin)
+    return shapely.distance(shapely.points(points - origin), line)
 
 
 def cells_of(points: ArrayLike, size: float) -> np.ndarray:

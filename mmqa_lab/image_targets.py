@@ -27,7 +27,7 @@ REGION = ("x_px", "y_px", "width_px", "height_px")
 SETTINGS = {"exposure": 1.0, "time_s": 0.01, "f_number": 4.0}
 """Exposure of a calibrated image, relative or by time and f-number, and the usual values."""
 
-UNEVEN = 0.05, 6.0
+UNEVEN_LIGHT = 0.05, 6.0
 """Share of their mean, and standard errors, by which halves of a region differ that lies across a
 border."""
 
@@ -50,7 +50,7 @@ def measure(
         ``calibrate``: gain and offset from targets of known radiance; ``reflect``: reflectance of
         targets without one by the empirical line of those with one.
     targets : DataFrame
-        A row for each target with the columns of ``MEASURES``, px, ``name`` and, of the last two
+        A row for each target with the columns of ``OF_TARGETS``, px, ``name`` and, of the last two
         measures, ``radiance`` or ``reflectance`` (or radiance_1, radiance_2, ... by band).
         Optionally to calibrate ``exposure``, or ``time_s`` and ``f_number`` (relative to 1/100 s at
         4); to reflect ``reflectance_std`` and ``anisotropy``. No other columns but ``image``.
@@ -71,7 +71,7 @@ def measure(
         values that are not linear are to give radiances or reflectances.
     """
     values = np.asarray(values)
-    needed, read = MEASURES[check_choice(what, "measure", MEASURES)]
+    needed, read = OF_TARGETS[check_choice(what, "measure", OF_TARGETS)]
     check_columns({} if targets is None else targets, needed, "targets")
     if targets is not None:
         targets = _known_targets(targets, needed, len(values))
@@ -180,7 +180,7 @@ def _uneven(region):
             part[cuts[k] : cuts[k + 1]].astype(float) for k in range(4) if cuts[k] < cuts[k + 1]
         ]
         means = [end.mean() for end in ends]
-        share, errors = UNEVEN
+        share, errors = UNEVEN_LIGHT
         error = max(noise, 0.3) / np.sqrt(ends[0].size)
         if np.ptp(means) > max(share * abs(np.mean(means)), errors * error):
             return True
@@ -251,7 +251,7 @@ def _interval(name, unit, value, reach):
     return {f"{name}{unit}": value} | ends
 
 
-MEASURES = {
+OF_TARGETS = {
     "edge": (REGION, _edges),
     "star": (("x_px", "y_px", "radius_px", "cycles"), _stars),
     "sharpness": ((), _sharpness),

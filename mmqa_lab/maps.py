@@ -66,10 +66,10 @@ MINIMUM = 10
 
 # Places of a cell from which the nearest point is sought for e95: as evenly as in ``spacing``. The
 # last but one stands for 95 % of them.
-PLACES = np.outer(np.arange(1, 31), STEPS) % 1
+CELL_PLACES = np.outer(np.arange(1, 31), STEPS) % 1
 
 # Most cells in the rectangle of a map, 8 GB: 5 km x 5 km for cells of half a metre.
-MOST_CELLS = 1e8
+MOST_MAP_CELLS = 1e8
 
 # Points are sorted into tiles of this side, m, which are joined until one has so many points.
 TILE_M, ENOUGH = 8.0, 100_000
@@ -135,9 +135,9 @@ def map_cloud(points: ArrayLike, *, cell: float = 0.5, radius: float = 0.5) -> x
 def _check_extent(points, cell):
     """Refuse clouds that are too wide, such as clouds in millimetres."""
     size = np.ptp(points, axis=0)[:2]
-    if np.prod(size / cell + 1) > MOST_CELLS:
+    if np.prod(size / cell + 1) > MOST_MAP_CELLS:
         wide = " x ".join(f"{length / 1000:.4g} km" for length in size)
-        most = f"{MOST_CELLS / 1e6:.0f} million cells of {cell} m"
+        most = f"{MOST_MAP_CELLS / 1e6:.0f} million cells of {cell} m"
         raise ValueError(f"Invalid clouds over {wide}. Must lie in {most}, in metres.")
 
 
@@ -159,7 +159,7 @@ def _evaluated(points, index, inner, cell, radius):
     d = [_medians(distance, group) for distance in distances]
     missing = np.add.reduceat(np.isnan(distances[3]).astype(float), starts)
     same = np.add.reduceat(_coincident(own), starts)
-    e95 = _empty_space(local, (cells - cells[0])[:, None] + PLACES, cell, radius)
+    e95 = _empty_space(local, (cells - cells[0])[:, None] + CELL_PLACES, cell, radius)
     *d_mm, e95_mm, sigma_mm = (1000 * length for length in (*d, e95, sigma))
     figures = counts, counts / cell**2, *d_mm, d[3] / d[0], e95_mm, missing / counts
     return np.column_stack([cells, *figures, sigma_mm, same])

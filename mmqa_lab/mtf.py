@@ -38,15 +38,15 @@ if TYPE_CHECKING:
 __all__ = ["fit_edge", "haar_sharpness", "measure_star", "read_bars", "resolving_power"]
 __dir__ = __all__.copy
 
-METHODS = ("binned", "sigmoid", "logistic")
+EDGE_METHODS = ("binned", "sigmoid", "logistic")
 
 FREQUENCIES = np.linspace(0, 1, 401)
 """Cycles per pixel."""
 
-BINS_PER_PIXEL, BLOCKS = 4, 8
+BINS_PER_PIXEL, EDGE_BLOCKS = 4, 8
 """Bins of the edge profile; parts of an edge that are compared with its line."""
 
-SIGMAS_PX = (0.15, 12.0)
+SIGMOID_PX = (0.15, 12.0)
 """Limits of a sigmoid's width."""
 
 SMALLEST_ANGLE_DEG = 3.0
@@ -79,7 +79,7 @@ NEARBY = 1.2
 RING_STEP_PX, RINGS_A_WIDTH = 0.5, 4
 """Distance between the beginnings of rings, which are two pixels wide: four rings share a pixel."""
 
-PARTS, LARGEST_DRIFT, HIDDEN = 12, 1.5, 0.7
+STAR_PARTS, LARGEST_DRIFT, SEEN_SHARE = 12, 1.5, 0.7
 """Parts of the circle in which the outer wave is compared: its phase may differ by so many radians,
 and its contrast in a part that is not hidden is at least this share of the others'."""
 
@@ -182,7 +182,7 @@ def fit_edge(image: ArrayLike, *, method: str = "binned") -> EdgeResponse:
     >>> [round(fit_edge(seen, method=name).mtf50, 2) for name in ("binned", "sigmoid")]
     [0.18, 0.18]
     """
-    check_choice(method, "method", METHODS)
+    check_choice(method, "method", EDGE_METHODS)
     image = check_image(image)
     if min(image.shape) < 10:
         raise ValueError(f"Invalid edge of {image.shape} pixels. Must be 10 x 10 or larger.")
@@ -233,7 +233,7 @@ class _Sigmoid:
                 return values - self._levels(known, distance, along, values)
 
             scale = max(float(np.ptp(values)), 1e-12) / 10
-            low, high = np.log(SIGMAS_PX)
+            low, high = np.log(SIGMOID_PX)
             ends = [-5, -5, low], [5, 5, high]
             how = {"bounds": ends, "loss": "soft_l1", "f_scale": scale, "x_scale": [1, 1, 0.3]}
             found = least_squares(residuals, start, **how)
@@ -275,7 +275,7 @@ class _Sigmoid:
                 "stand out."
             )
         row = self.rows // columns
-        crooked = max(self.crooked(row // size) for size in (1, 4, max(rows // BLOCKS, 5)))
+        crooked = max(self.crooked(row // size) for size in (1, 4, max(rows // EDGE_BLOCKS, 5)))
         if crooked > TORN:
             raise ValueError(
                 f"Invalid edge: it leaves a straight line by {crooked:.0%} of its width. Must be "
@@ -721,7 +721,7 @@ def measure_star(
     faintest = np.abs(waves).min() / np.median(np.abs(waves))
     doubts = [
         (
-            faintest < HIDDEN,
+            faintest < SEEN_SHARE,
             f"a part of the star is hidden: contrast {faintest:.0%} of the others'",
         ),
         (clipped, f"{clipped} is clipped: MTF50 is too high"),
@@ -961,11 +961,15 @@ def _outer_parts(pixels, place, n, radius):
     """The wave of n cycles near the outline in parts of the circle, as complex numbers."""
     r, azimuth = _polar(pixels, place)
     outer = (r > 0.6 * radius) & (r < 0.9 * radius)
-    part = (azimuth[outer] % (2 * np.pi) / (2 * np.pi) * PARTS).astype(int).clip(0, PARTS - 1)
-    count, values = np.bincount(part, minlength=PARTS), pixels[2][outer]
-    mean = np.bincount(part, values, PARTS) / np.maximum(count, 1)
+    part = (
+        (azimuth[outer] % (2 * np.pi) / (2 * np.pi) * STAR_PARTS)
+        .astype(int)
+        .clip(0, STAR_PARTS - 1)
+    )
+    count, values = np.bincount(part, minlength=STAR_PARTS), pixels[2][outer]
+    mean = np.bincount(part, values, STAR_PARTS) / np.maximum(count, 1)
     wave = (values - mean[part]) * np.exp(-1j * n * azimuth[outer])
-    sums = np.bincount(part, wave.real, PARTS) + 1j * np.bincount(part, wave.imag, PARTS)
+    sums = np.bincount(part, wave.real, STAR_PARTS) + 1j * np.bincount(part, wave.imag, STAR_PARTS)
     full = count > count.max() / 2
     return sums[full] / count[full]
 
@@ -976,7 +980,7 @@ def _check_cycles(waves, n):
     phase = np.unwrap(np.angle(waves[seen_well]))
     if np.ptp(phase) > LARGEST_DRIFT:
         slope = np.polyfit(np.arange(len(phase)), phase, 1)[0]
-        seen = n + round(slope * PARTS / (2 * np.pi))
+        seen = n + round(slope * STAR_PARTS / (2 * np.pi))
         shows = f"it shows about {seen}" if seen != n else "its wave is not regular"
         raise ValueError(f"Invalid star of {n} cycles: {shows}. Must have the cycles stated.")
 
@@ -1023,7 +1027,7 @@ def _lens_of(frequency, contrast):
         model = np.abs(lens_mtf(transfer, np.exp(log_width), f))
         return ((seen - model * (model @ seen) / (model @ model)) ** 2).sum()
 
-    choices = {"bounds": np.log(SIGMAS_PX), "method": "bounded"}
+    choices = {"bounds": np.log(SIGMOID_PX), "method": "bounded"}
     lenses = LENS_TRANSFERS.values()
     fits = {lens: minimize_scalar(misfit, args=(lens,), **choices) for lens in lenses}
     best = min(fits, key=lambda lens: fits[lens].fun)

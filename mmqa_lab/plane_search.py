@@ -28,7 +28,7 @@ CELLS_PER_SIZE, LEAST_AREA = 4, 0.25
 """Cells of the grid along the smallest plane, and its least area in squared sizes (1 m2 at 2 m).
 Points of a plane are connected across one cell."""
 
-FEWEST = 10, 30
+FEWEST_LIMITS = 10, 30
 """Limits of the least number of points of a plane; its least area sets the number in between."""
 
 USUAL_SIZES = 1.5, 2.0, 3.0
@@ -138,7 +138,7 @@ def detect_planes(
     points = check_points(points, minimum=0)
     tolerance = check_positive(tolerance, "tolerance", unit="m")
     size = check_positive(size, "size", unit="m")
-    if len(points) < FEWEST[0]:
+    if len(points) < FEWEST_LIMITS[0]:
         return []
     grid = Grid(points, size / CELLS_PER_SIZE)
     in_cell = _points_per_cell(grid.start)
@@ -148,7 +148,7 @@ def detect_planes(
             f"Planes of {size:g} m may be missing or cut into parts.",
             stacklevel=2,
         )
-    minimum = int(np.clip(LEAST_AREA * CELLS_PER_SIZE**2 * in_cell, *FEWEST))
+    minimum = int(np.clip(LEAST_AREA * CELLS_PER_SIZE**2 * in_cell, *FEWEST_LIMITS))
     search = _Search(grid, tolerance, minimum)
     for _ in range(4):
         if not search.round():

@@ -35,7 +35,7 @@ PAPER_SCALE = 1.4862
 TUKEY = 4.685
 """Tukey's biweight constant, 95 % efficient for normal residuals (Huber & Ronchetti 2009)."""
 
-FAR = 0.01
+FAR_FROM_CIRCLE_M = 0.01
 """Distances from a circle beyond this get less weight, m."""
 
 
@@ -368,7 +368,14 @@ def fit_circle(points: ArrayLike, *, diameter: float | None = None) -> Circle:
         return np.column_stack([ways, np.full((len(xy), int(free)), -np.exp(circle[2:]))])
 
     fits = [
-        least_squares(misfits, start[: 2 + free], slopes, loss="cauchy", f_scale=FAR, x_scale="jac")
+        least_squares(
+            misfits,
+            start[: 2 + free],
+            slopes,
+            loss="cauchy",
+            f_scale=FAR_FROM_CIRCLE_M,
+            x_scale="jac",
+        )
         for start in starts
     ]
     circles, costs = [fit.x for fit in fits], np.array([fit.cost for fit in fits])
@@ -376,7 +383,7 @@ def fit_circle(points: ArrayLike, *, diameter: float | None = None) -> Circle:
     centre = circles[best][:2]
     radius = float(np.exp(circles[best][2])) if free else radius
     off, ways = misfits(circles[best]), slopes(circles[best])
-    pulls = off / (1 + (off / FAR) ** 2)
+    pulls = off / (1 + (off / FAR_FROM_CIRCLE_M) ** 2)
     normal = fits[best].jac.T @ fits[best].jac  # scaled by the loss
     freedom, covariance = len(xy) - ways.shape[1], np.full((2, 2), np.nan)
     # a rival lies more than half a radius away, 120 degrees or more about the points' middle

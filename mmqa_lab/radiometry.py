@@ -69,7 +69,15 @@ UNDETERMINED = (
     "or priors (see Notes)."
 )
 
-COLUMNS = ("image", "tie", "radiance", "sun_zenith_deg", "view_zenith_deg", "azimuth_deg", "radius")
+OBSERVATION_COLUMNS = (
+    "image",
+    "tie",
+    "radiance",
+    "sun_zenith_deg",
+    "view_zenith_deg",
+    "azimuth_deg",
+    "radius",
+)
 
 SHADOW, RELATIVE_STD = 6.0, 0.02
 """Deviations that hardly count; standard deviation of an observation, a share of its radiance."""
@@ -823,9 +831,9 @@ class _Block:
     """Arrays of the observations, and indices of their images, ties and surfaces."""
 
     def __init__(self, observations):
-        check_columns(observations, COLUMNS, "observations")
+        check_columns(observations, OBSERVATION_COLUMNS, "observations")
         named = [name for name in ("surface", "group") if name in observations]
-        missing = observations[[*COLUMNS, *named]].isna()
+        missing = observations[[*OBSERVATION_COLUMNS, *named]].isna()
         if missing.any(axis=None):
             row, name = np.argwhere(missing.to_numpy())[0]
             raise ValueError(

@@ -40,16 +40,16 @@ HALF_WAVES = np.arange(3, 11)
 count a trend as an error. Odd numbers alone are zero in the middle, even ones alone between there
 and the edges, where the few lines may lie that decide a median."""
 
-PARTS = 256
-CELLS = 1 << 16  # of the extent of points, in which they are counted
+WAVE_PARTS = 256
+ORDER_CELLS = 1 << 16  # of the extent of points, in which they are counted
 
 
 def _waves_over_parts():
-    """Waves (k, PARTS) without what is a polynomial of second degree; mean 0, mean square 1.
+    """Waves (k, WAVE_PARTS) without what is a polynomial of second degree; mean 0, mean square 1.
 
     Neither a trend nor a bowl, as from points at the edges that lack neighbours, is then an error.
     """
-    place = (np.arange(PARTS) + 0.5) / PARTS
+    place = (np.arange(WAVE_PARTS) + 0.5) / WAVE_PARTS
     waves, smooth = np.cos(np.pi * HALF_WAVES[:, None] * place), np.vander(place, 3).T
     waves -= waves @ np.linalg.pinv(smooth) @ smooth
     return waves / np.sqrt((waves**2).mean(axis=1, keepdims=True))
@@ -333,11 +333,11 @@ def waves(xy: ArrayLike, direction: float) -> np.ndarray:
 
 def _parts(places):
     """Part of each place (n,) by their order; without sorting, unless a cell holds a whole part."""
-    cells = ((places - places.min()) * (CELLS / max(np.ptp(places), 1e-300))).astype(np.intp)
+    cells = ((places - places.min()) * (ORDER_CELLS / max(np.ptp(places), 1e-300))).astype(np.intp)
     counts = np.bincount(cells)
-    if counts.max() * PARTS > len(places):
+    if counts.max() * WAVE_PARTS > len(places):
         _, cells, counts = np.unique(places, return_inverse=True, return_counts=True)
-    return ((np.cumsum(counts) - counts / 2) * PARTS / len(places)).astype(np.intp)[cells]
+    return ((np.cumsum(counts) - counts / 2) * WAVE_PARTS / len(places)).astype(np.intp)[cells]
 
 
 def mean_reach(values: ArrayLike, block: ArrayLike) -> float:
@@ -495,9 +495,9 @@ def _reach_by_waves(rows, across, along):
     no whole line shares, is subtracted (Cameron, Gelbach and Miller 2011,
     doi:10.1198/jbes.2010.07136).
     """
-    places, count = across * PARTS + along, len(COSINES)
-    table = np.array([np.bincount(places, row, PARTS**2) for row in rows])
-    table = table.reshape(len(rows), PARTS, PARTS)
+    places, count = across * WAVE_PARTS + along, len(COSINES)
+    table = np.array([np.bincount(places, row, WAVE_PARTS**2) for row in rows])
+    table = table.reshape(len(rows), WAVE_PARTS, WAVE_PARTS)
     apart = ((COSINES @ table @ COSINES.T) ** 2).mean(axis=(1, 2))
     sums = sum(((table.sum(axis=way) @ COSINES.T) ** 2).mean(axis=1) for way in (1, 2))
     variances = np.maximum(sums - apart, apart)

@@ -5,10 +5,11 @@ field whose ground, poles and corners were surveyed (section 3.1), evaluated aft
 were removed (section 3.2). Start here::
 
     from mmqa_lab import test_field
+    from mmqa_lab.cloud import path_distance
 
     table = test_field.height_differences(cloud, reference)          # or the reason for none
     test_field.height_accuracy(table)                                # shift kept, shift removed
-    table["distance_m"] = test_field.distance_to_path(reference, trajectory)
+    table["distance_m"] = path_distance(reference, trajectory)
     test_field.trend(table["distance_m"], (table["dz_m"] - table["dz_m"].mean()).abs())
     test_field.plan_accuracy(test_field.plan_differences(cloud, targets))
 
@@ -31,16 +32,14 @@ from mmqa_lab._checks import (
     check_choice,
     check_columns,
     check_number,
-    check_plan,
     check_points,
     check_positive,
 )
-from mmqa_lab.cloud import path_distance
 from mmqa_lab.planes import fit_circle, fit_line
 from mmqa_lab.stats import blocks, errors, mean_reach
 
 __all__ = [
-    "FEWEST", "POLE_SEARCH_M", "REPORT_SLICES", "SLICES", "compare_heights", "distance_to_path",
+    "FEWEST_ON_CIRCLE", "POLE_SEARCH_M", "REPORT_SLICES", "SLICES", "compare_heights",
     "height_accuracy", "height_differences", "plan_accuracy", "plan_differences", "split_drives",
     "thinned", "trend",
 ]  # fmt: skip
@@ -62,7 +61,7 @@ few points in it, and the ground is part of it."""
 POLE_SEARCH_M, CORNER_SEARCH_M = 0.4, 2.0
 """Largest distance in plan of points from a pole and from a corner."""
 
-FEWEST, FEWEST_ON_LINE = 8, 10
+FEWEST_ON_CIRCLE, FEWEST_ON_LINE = 8, 10
 """Least number of points for a circle and for a line. A circle through fewer points may lie on
 their wrong side."""
 
@@ -513,40 +512,6 @@ def trend(distance: ArrayLike, values: ArrayLike) -> pd.Series:
     return pd.Series(found | {"slope_high": line.slope + half, "p": line.pvalue, "n": len(values)})
 
 
-def distance_to_path(points: ArrayLike, path: ArrayLike | pd.DataFrame) -> np.ndarray:
-    """Return the distance in plan of points from a path.
-
-    Parameters
-    ----------
-    points : array_like, shape (n, 2 or 3)
-        Metres.
-    path : array_like, shape (m, 2 or 3), or DataFrame
-        Vertices in order, m >= 2, or a table with ``easting_m`` and ``northing_m``.
-
-    Returns
-    -------
-    array, shape (n,)
-
-    Raises
-    ------
-    ValueError
-        If the path has fewer than two vertices, a table of it lacks a column, or a value is not
-        finite.
-
-    Examples
-    --------
-    >>> distance_to_path([[3, 5, 0], [0, 14, 0]], [[0, 0], [0, 10]]).tolist()
-    [3.0, 4.0]
-    """
-    if isinstance(path, pd.DataFrame):
-        check_columns(path, ("easting_m", "northing_m"), "path")
-        path = path[["easting_m", "northing_m"]]
-    path = check_plan(path, name="path", minimum=2)
-    points = check_plan(points)
-    origin = path.mean(axis=0).round()
-    return path_distance(points - origin, path - origin)
-
-
 def _surfaces(points, targets, radius):
     """Height of the triangle and slope (degrees) of the plane around each target, number of points.
 
@@ -588,7 +553,7 @@ def _slopes(offsets, group, count):
 
 def _circle(xy, diameter):
     """Centre, number of points, and the reason why there is no centre."""
-    if len(xy) < FEWEST:
+    if len(xy) < FEWEST_ON_CIRCLE:
         return np.nan, np.nan, len(xy), "too few points"
     circle = fit_circle(xy, diameter=diameter if diameter and diameter > 0 else None)
     if max(np.hypot(*circle.centre), circle.radius) > POLE_SEARCH_M or np.isnan(circle.std):

@@ -22,7 +22,7 @@ from mmqa_lab._checks import check_points
 __all__ = ["is_headless", "show_cloud"]
 __dir__ = __all__.copy
 
-WINDOW = "VTK_DEFAULT_OPENGL_WINDOW"
+WINDOW_VARIABLE = "VTK_DEFAULT_OPENGL_WINDOW"
 
 TITLES = ("easting (m)", "northing (m)", "height (m)")
 
@@ -36,10 +36,10 @@ def can_render() -> bool:
     Sets the environment variable that names the window class which works.
     """
     for window in ("vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow", ""):
-        environment = {**os.environ, WINDOW: window}
+        environment = {**os.environ, WINDOW_VARIABLE: window}
         child = subprocess.run([sys.executable, "-c", PROBE], env=environment, capture_output=True)
         if child.returncode == 0:
-            os.environ[WINDOW] = window
+            os.environ[WINDOW_VARIABLE] = window
             return True
     return False
 

@@ -48,7 +48,7 @@ def doubled_names(figure):
 def of_no_kind(figure, name):
     """A sentence for a figure that does not say which kind of numbers it shows."""
     said = " ".join(text.get_text() for text in figure.findobj(plt.Text))
-    kinds = (*run.KINDS, "simulated")
+    kinds = (*run.NUMBER_KINDS, "simulated")
     return [] if name in DRAWINGS or any(kind in said for kind in kinds) else ["no kind is said"]
 
 

@@ -4,6 +4,7 @@ import ast
 import hashlib
 import importlib
 import re
+import runpy
 import socket
 import subprocess
 import sys
@@ -87,6 +88,30 @@ def test_each_module_says_what_it_offers(path):
     parts = path.relative_to(ROOT).with_suffix("").parts
     module = importlib.import_module(".".join(parts).removesuffix(".__init__"))
     assert set(module.__all__) <= set(vars(module))
+
+
+def test_a_constant_has_a_name_of_its_own():
+    # Studies share the names of what each of them has: METHODS, SOURCE, FIGURES.
+    homes = {}
+    for path in PACKAGE.rglob("*.py"):
+        if path.parent.name == "studies" or path.name == "__main__.py":
+            continue
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            for target in ast.walk(node) if isinstance(node, ast.Assign) else ():
+                if isinstance(target, ast.Name) and isinstance(target.ctx, ast.Store):
+                    homes.setdefault(target.id, set()).add(path.relative_to(PACKAGE))
+    capitals = {name: where for name, where in homes.items() if name.isupper()}
+    assert len(capitals) > 300
+    assert not {name: where for name, where in capitals.items() if len(where) > 1}
+
+
+def test_faults_made_by_hand_still_stand_in_their_rooms():
+    for room, text, _, tests in runpy.run_path(str(ROOT / "tests/benchmarks/mutations.py"))[
+        "FAULTS"
+    ]:
+        inside = [PACKAGE / f"{room}.py", *(PACKAGE / room).rglob("*.py")]
+        assert any(text in path.read_text("utf-8") for path in inside if path.is_file()), text
+        assert all((ROOT / "tests" / name).is_file() for name in tests.split()), tests
 
 
 def test_importing_the_package_is_light():

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from mmqa_lab import simulate
 from mmqa_lab.__main__ import main
 from mmqa_lab.scan_pattern import (
-    QUANTITIES,
+    LATTICE_QUANTITIES,
     ScanSetup,
     Target,
     detail_size,
@@ -38,7 +38,7 @@ def test_monte_carlo_agrees_with_derivatives_by_differences():
         field = name.removeprefix("target_")
         return scan_lattice(MIMIC, replace(target, **{field: getattr(target, field) + error}))
 
-    smooth = list(QUANTITIES[:6])
+    smooth = list(LATTICE_QUANTITIES[:6])
     squares = np.zeros(len(smooth))
     for name, sigma in sigmas.items():
         low, high = (off_by(name, step * sigma / 10) for step in (-1, 1))

@@ -58,12 +58,12 @@ def test_reach_of_a_mean_is_students_of_independent_values_and_wider_of_dependen
 
 def test_slow_waves_are_blind_to_trends_and_bowls_but_to_no_place():
     """An error of the few lines in the middle, which decide a median, counts like any other."""
-    place = np.linspace(-1, 1, stats.PARTS)
+    place = np.linspace(-1, 1, stats.WAVE_PARTS)
     np.testing.assert_allclose(stats.COSINES @ np.vander(place, 3), 0, atol=1e-9)
     np.testing.assert_allclose((stats.COSINES**2).mean(axis=1), 1)
     seen = (stats.COSINES**2).mean(axis=0)
     assert seen.min() > 0.3
-    assert seen[stats.PARTS // 4 : -stats.PARTS // 4].max() < 2
+    assert seen[stats.WAVE_PARTS // 4 : -stats.WAVE_PARTS // 4].max() < 2
 
 
 @settings(max_examples=40, deadline=None)
@@ -74,6 +74,6 @@ def test_parts_hold_equal_numbers_and_follow_the_order_of_places(n, seed, digits
     for parts, places in zip(stats.waves(xy, 0), (xy[:, 1], xy[:, 0]), strict=True):
         order = np.argsort(places, kind="stable")
         assert (np.diff(parts[order]) >= 0).all()
-        assert set(parts) <= set(range(stats.PARTS))
+        assert set(parts) <= set(range(stats.WAVE_PARTS))
         alike = np.unique(places, return_counts=True)[1].max()
-        assert np.bincount(parts).max() <= n / stats.PARTS + alike + 1
+        assert np.bincount(parts).max() <= n / stats.WAVE_PARTS + alike + 1

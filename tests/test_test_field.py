@@ -9,8 +9,8 @@ from scipy.spatial import Delaunay
 from scipy.stats import t
 
 from mmqa_lab import io
+from mmqa_lab.cloud import path_distance
 from mmqa_lab.test_field import (
-    distance_to_path,
     height_accuracy,
     height_differences,
     plan_accuracy,
@@ -193,11 +193,11 @@ def test_le90_counts_differences_of_either_sign():
 def test_a_table_of_the_path_is_taken_by_its_columns():
     points = [[3.0, 5.0, 0.0]]
     table = pd.DataFrame({"time_s": [0, 1], "easting_m": 0.0, "northing_m": [0, 10.0]})
-    assert distance_to_path(points, table).tolist() == [3.0]
-    assert distance_to_path(points, table.assign(height_m=1.0)).tolist() == [3.0]
-    assert distance_to_path(pd.DataFrame(points), table).tolist() == [3.0]
+    assert path_distance(points, table).tolist() == [3.0]
+    assert path_distance(points, table.assign(height_m=1.0)).tolist() == [3.0]
+    assert path_distance(pd.DataFrame(points), table).tolist() == [3.0]
     with pytest.raises(ValueError, match="no column 'northing_m' beside time_s, easting_m"):
-        distance_to_path(points, table[["time_s", "easting_m"]])
+        path_distance(points, table[["time_s", "easting_m"]])
 
 
 @given(st.permutations(range(5)))

@@ -28,14 +28,14 @@ from mmqa_lab.chart_image.reading import find_tones
 from mmqa_lab.charts import Layout, LinePairs, Text
 
 __all__ = [
-    "MARKS", "PLACE", "Agreement", "Crop", "agreement", "chart_site", "check_marks",
+    "MARKS", "PLACE_COLUMNS", "Agreement", "Crop", "agreement", "chart_site", "check_marks",
     "choose_images", "colour_fringes", "expected_marks", "mark_limits", "quality_index",
     "text_crops",
 ]  # fmt: skip
 
 ALONG, AHEAD, BEHIND = "orthogonal", "forward", "backward"
 
-PLACE = ["easting_m", "northing_m", "height_m"]
+PLACE_COLUMNS = ["easting_m", "northing_m", "height_m"]
 
 MARKS = ("a", "b", "c")
 """a: each letter on its own can definitely be read; b: the text is legible; c: it is not (Pfeifer
@@ -240,14 +240,14 @@ def choose_images(
     5.4
     """
     distance = check_positive(distance, "distance", unit="m")
-    check_columns(stations, PLACE, "stations")
+    check_columns(stations, PLACE_COLUMNS, "stations")
     if len(stations) < 2:
         raise ValueError(f"Invalid stations: {len(stations)} given. Must be two or more.")
     corners = four_corners(corners, columns=3)
     right, up = corners[[1, 3]] - corners[0] + corners[2] - corners[[3, 1]]
     right, up = right / np.linalg.norm(right), up / np.linalg.norm(up)
     normal = np.cross(right, up)
-    away = stations[PLACE].to_numpy(dtype=float) - corners.mean(axis=0)
+    away = stations[PLACE_COLUMNS].to_numpy(dtype=float) - corners.mean(axis=0)
     view = _view(right, normal, away)
     seen = pd.DataFrame(
         {

@@ -42,7 +42,7 @@ GAMMAS = ("srgb", "linear")
 KNEE = 0.0031308
 """Linear light below which the curve of sRGB is a straight line."""
 
-SIDE_MM, CELLS, BORDER_MM, SQUARE_MM = 1000.0, 100, 50.0, 200.0
+SIDE_MM, CELLS_A_SIDE, BORDER_MM, SQUARE_MM = 1000.0, 100, 50.0, 200.0
 """Point chart: side (mm), cells along it, white border and plain squares (mm)."""
 
 IMAGING = {"grey": "imaging.csv", "revised": "revised.csv"}
@@ -296,7 +296,7 @@ class Text(_Element):
         return place.transform_path(_letters(self.text, self.font))
 
 
-KINDS = {kind.__name__: kind for kind in (Bar, LinePairs, Marker, Text)}
+ELEMENTS = {kind.__name__: kind for kind in (Bar, LinePairs, Marker, Text)}
 
 
 @dataclass(frozen=True)
@@ -511,8 +511,8 @@ def point_chart(*, seed: int = 0) -> Layout:
     (50.0, 50.0, 950.0)
     """
     generator = np.random.default_rng(check_count(seed, "seed", low=0))
-    white = generator.random((CELLS, CELLS)) < 0.5
-    border, square = (round(CELLS * side / SIDE_MM) for side in (BORDER_MM, SQUARE_MM))
+    white = generator.random((CELLS_A_SIDE, CELLS_A_SIDE)) < 0.5
+    border, square = (round(CELLS_A_SIDE * side / SIDE_MM) for side in (BORDER_MM, SQUARE_MM))
     white[:border] = white[-border:] = white[:, :border] = white[:, -border:] = True
     for columns in (slice(border, border + square), slice(-border - square, -border)):
         white[border : border + square, columns] = True  # below the squares, drawn over it
@@ -555,7 +555,7 @@ def layout_of(table: str, *, name: str, width: float = 1000.0, height: float = 1
     """
     elements = []
     for row in csv.DictReader(StringIO(table)):
-        kind = KINDS[check_choice(row.get("kind"), "kind", tuple(KINDS))]
+        kind = ELEMENTS[check_choice(row.get("kind"), "kind", tuple(ELEMENTS))]
         try:
             given = {key: _value(key, text) for key, text in row.items() if text and key != "kind"}
             elements.append(kind(**given))

@@ -34,7 +34,7 @@ LAS = "a complete LAS or LAZ file"
 SCAN_ANGLE_STEP = 0.006
 
 # Columns that tell which records are no points of a surface (LAS 1.4 R15).
-MARKS = ("withheld", "classification", "synthetic", "overlap", "return_number", "number_of_returns")
+FLAGS = ("withheld", "classification", "synthetic", "overlap", "return_number", "number_of_returns")
 LONGEST_NAME = 32
 
 NOISE = (7, 18)
@@ -248,7 +248,7 @@ def _las_pieces(path, chunk, columns):
         names = [n for n in header.point_format.dimension_names if n not in ("X", "Y", "Z")]
         if columns is not None:
             check_columns(names, columns, f"cloud {path}")
-            names = [name for name in names if name in columns or name in MARKS]
+            names = [name for name in names if name in columns or name in FLAGS]
         low, high = header.mins - 2 * header.scales, header.maxs + 2 * header.scales
         parts = reader.chunk_iterator(chunk)
         while True:
@@ -316,7 +316,7 @@ def _marked(piece):
     """Masks of the points of a piece to leave out, and of those to mention, by the reason."""
     points, none = piece.points, np.zeros(1, np.uint8)
     numbers = {name.lower(): v for name, v in piece.columns.items() if v.dtype.kind in "biuf"}
-    withheld, kind, synthetic, overlap, number, returns = (numbers.get(n, none) for n in MARKS)
+    withheld, kind, synthetic, overlap, number, returns = (numbers.get(n, none) for n in FLAGS)
     several = number.max(initial=0) > 1 and ((number == 1) & (returns > 1)).any()
     old = kind == OLD_OVERLAP if "overlap" not in numbers else none
     left = {

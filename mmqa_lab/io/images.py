@@ -26,7 +26,7 @@ RASTERS = "a GeoTIFF of one band with north upwards and an EPSG number"
 
 # Kinds of pages and of grey values in TIFF 6.0, and how each orientation is turned upright.
 MASK, WHITE_IS_ZERO, PALETTE, ORIENTATION = 4, 0, 3, 274
-UPRIGHT = {2: (0, 1), 3: (2, 0), 4: (2, 1), 5: (3, 1), 6: (3, 0), 7: (1, 1), 8: (1, 0)}
+ORIENTATIONS = {2: (0, 1), 3: (2, 0), 4: (2, 1), 5: (3, 1), 6: (3, 0), 7: (1, 1), 8: (1, 0)}
 
 # Markers of JPEG without a length (ISO 10918-1, B.1.1.3).
 BARE_MARKERS = (0x01, *range(0xD0, 0xD9), 0xFF)
@@ -102,7 +102,7 @@ def read_bands(path: str | os.PathLike) -> np.ndarray:
         pixels = (2**page.bitspersample - 1 - pixels).astype(pixels.dtype)
     if colours is not None and not decoded:
         pixels = np.moveaxis(colours[:, pixels[..., 0]] >> 8, 0, 2).astype(np.uint8)
-    quarters, mirrored = UPRIGHT.get(1 if decoded else turn, (0, 0))
+    quarters, mirrored = ORIENTATIONS.get(1 if decoded else turn, (0, 0))
     pixels = np.rot90(pixels, quarters)
     return np.moveaxis(pixels[:, ::-1] if mirrored else pixels, 2, 0)
 

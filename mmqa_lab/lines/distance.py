@@ -37,9 +37,15 @@ from mmqa_lab.lines.segments import (
 
 __all__ = ["LHD", "Directed", "compare", "lhd"]
 
-KINDS = ["one-to-null", "one-to-one", "one-to-multiple", "multiple-to-one", "multiple-to-multiple"]
+PAIRING = [
+    "one-to-null",
+    "one-to-one",
+    "one-to-multiple",
+    "multiple-to-one",
+    "multiple-to-multiple",
+]
 
-PARTS = ["displacement", "position", "direction", "ends", "false pairs", "all"]
+DISTANCE_PARTS = ["displacement", "position", "direction", "ends", "false pairs", "all"]
 """Parts of a distance, and their sum."""
 
 
@@ -192,7 +198,9 @@ class LHD(Shown):
         sizes = np.vstack([np.linalg.norm(across, axis=1), np.sqrt(np.cumsum(squares, axis=0))])
         right = side.share * truth[rows, columns]
         steps = [*(sizes @ right / right.sum()), side.share @ sizes[-1] / side.share.sum()]
-        return pd.DataFrame({"part": PARTS, "value_m": [steps[0], *np.diff(steps), steps[-1]]})
+        return pd.DataFrame(
+            {"part": DISTANCE_PARTS, "value_m": [steps[0], *np.diff(steps), steps[-1]]}
+        )
 
     def kinds(self) -> pd.Series:
         """Return the number of groups of each kind of correspondence (section 2.3), Series of int.
@@ -209,7 +217,7 @@ class LHD(Shown):
         tests = np.bincount(group[:p], minlength=groups)
         models = np.bincount(group[p:], minlength=groups)
         kind = np.where(tests + models == 1, 0, 1 + (models > 1) + 2 * (tests > 1))
-        return pd.Series(np.bincount(kind, minlength=len(KINDS)), index=KINDS, name="groups")
+        return pd.Series(np.bincount(kind, minlength=len(PAIRING)), index=PAIRING, name="groups")
 
     def to_frame(self) -> pd.DataFrame:
         """Return one row per direction: segments, pairs, threshold, distances, coverage.

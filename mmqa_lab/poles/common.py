@@ -16,7 +16,7 @@ __all__ = ["drop_duplicates", "first_reason", "ground", "joined", "pairs", "tabl
 GROUND_CELL_M, GROUND_WINDOW, GROUND_STEP_M = 1.0, 9, 0.5
 """Cell, window (cells) and step: low points higher than the opening by the step are no ground."""
 
-MOST_CELLS = 200_000_000
+MOST_GROUND_CELLS = 200_000_000
 """Cells of the ground that are held at a time."""
 
 ROOF_WINDOW, ROOF_M = 13, 2.5
@@ -56,10 +56,10 @@ def ground(points):
         [squeeze(axis) for squeeze, axis in zip(squeezed, places.T, strict=True)]
     )
     size = places.max(axis=0).astype(np.int64) + 1
-    if size.prod() > MOST_CELLS:
+    if size.prod() > MOST_GROUND_CELLS:
         raise ValueError(
             f"Invalid cloud of {size[0]} m by {size[1]} m without its gaps. "
-            f"Must be handed over in parts of at most {MOST_CELLS:.0e} m2."
+            f"Must be handed over in parts of at most {MOST_GROUND_CELLS:.0e} m2."
         )
     lowest = np.full(size, np.inf)
     lowest[tuple(places.astype(np.int64).T)] = points[third, 2]

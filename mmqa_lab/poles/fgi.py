@@ -22,10 +22,10 @@ from mmqa_lab.scan_pattern import revolutions_from_time
 
 __all__ = ["chord_diameter", "detect", "scan_lines", "segment_lines"]
 
-GROUP_M, MISSING = 0.10, 2
+GROUP_M, MISSING_PULSES = 0.10, 2
 """A line is cut where neighbours are farther apart (m), or more pulses are missing between them."""
 
-WIDEST_M, FEWEST = 0.45, 3
+LONGEST_GROUP_M, FEWEST_IN_GROUP = 0.45, 3
 """Longest group on a scan line; fewest points of a group and of a position of the mask."""
 
 OVERLAP_M, NEIGHBOURS = 0.03, 2
@@ -34,14 +34,14 @@ OVERLAP_M, NEIGHBOURS = 0.03, 2
 STEEP = 0.8
 """Rise by length of a steep stretch of a scan line."""
 
-MERGE_M, MERGE_DEG, GAP_M, SHORT_M = 0.20, 12.0, 2.0, 0.5
+MERGE_M, MERGE_DEG, MERGE_GAP_M, SHORT_M = 0.20, 12.0, 2.0, 0.5
 """Largest distance (m), angle (degrees) and gap (m) of coaxial clusters. A cluster shorter than
 half a metre has no direction."""
 
-LENGTH_M, SWEEPS, TILT_DEG, ELONGATION = 1.0, 4, 15.0, 10.0
+LEAST_LENGTH_M, SWEEPS, LARGEST_TILT_DEG, ELONGATION = 1.0, 4, 15.0, 10.0
 """Limits of a pole: least length and number of lines, largest tilt, least eigenvalue ratio."""
 
-MASK_M, STEP_M, SHELL_M, MASK_SHARE, MASK_ELONGATION = 0.8, 0.2, 0.30, 0.85, 4.0
+MASK_M, MASK_STEP_M, MASK_SHELL_M, MASK_SHARE, MASK_ELONGATION = 0.8, 0.2, 0.30, 0.85, 4.0
 """Length and step of the mask; outer minus inner radius; least share of the points in both
 cylinders that lie in the inner one; least eigenvalue ratio of the points in the inner one."""
 
@@ -74,9 +74,9 @@ def detect(points, lines, *, explain=False):
     axes = _axes(points, member)
     n = len(axes["ratio"])
     reason = first_reason(
-        length=np.ptp(axes["ends"], axis=1) < LENGTH_M,
+        length=np.ptp(axes["ends"], axis=1) < LEAST_LENGTH_M,
         sweeps=pd.Series(line).groupby(member).nunique() < SWEEPS,
-        tilt=axes["direction"][:, 2] < np.cos(np.radians(TILT_DEG)),
+        tilt=axes["direction"][:, 2] < np.cos(np.radians(LARGEST_TILT_DEG)),
         elongation=axes["ratio"] < ELONGATION,
     )
     share, diameter = np.zeros(n), np.full(n, np.nan)
@@ -85,7 +85,7 @@ def detect(points, lines, *, explain=False):
         accepted, share[k] = _mask(everything, points[own], axis)
         part = own[accepted]
         along = _about(points[part], axis)[0]
-        if len(np.unique(line[part])) < SWEEPS or np.ptp(along) < LENGTH_M:
+        if len(np.unique(line[part])) < SWEEPS or np.ptp(along) < LEAST_LENGTH_M:
             reason[k] = "mask"
             continue
         axes["ends"][k] = along.min(), along.max()
@@ -113,16 +113,16 @@ def segment_lines(points, line, pulse):
         each group that is too long its rise by its length, ``rise`` (m,).
     """
     apart = np.linalg.norm(np.diff(points, axis=0), axis=1) > GROUP_M
-    broken = apart | (np.diff(line) != 0) | (np.diff(pulse) > MISSING + 1)
+    broken = apart | (np.diff(line) != 0) | (np.diff(pulse) > MISSING_PULSES + 1)
     first = np.flatnonzero(np.append(True, broken)[: len(points)])
     count = np.diff(np.append(first, len(points)))
     way = points[first + count - 1] - points[first]
     chord = np.linalg.norm(way, axis=1)
-    good = (count >= FEWEST) & (chord <= WIDEST_M)
+    good = (count >= FEWEST_IN_GROUP) & (chord <= LONGEST_GROUP_M)
     number = np.where(good, np.cumsum(good) - 1, -1)
     centre = np.add.reduceat(points, first, axis=0) / count[:, None]
     kept = {"centre": centre[good], "half": chord[good] / 2, "line": line[first][good]}
-    too_long = chord > WIDEST_M
+    too_long = chord > LONGEST_GROUP_M
     kept["rise"] = np.abs(way[too_long, 2]) / chord[too_long]
     return np.repeat(number, count), kept
 
@@ -130,10 +130,10 @@ def segment_lines(points, line, pulse):
 def _warn_of_upright(groups):
     """Warn if the steep among the long groups are upright: then poles lie along scan lines."""
     steep = groups["rise"][groups["rise"] > STEEP]
-    upright = steep > np.cos(np.radians(TILT_DEG))
-    if len(steep) >= FEWEST and upright.mean() > 0.5:
+    upright = steep > np.cos(np.radians(LARGEST_TILT_DEG))
+    if len(steep) >= FEWEST_IN_GROUP and upright.mean() > 0.5:
         warnings.warn(
-            f"{upright.sum()} upright stretches of scan lines are longer than {WIDEST_M} m: "
+            f"{upright.sum()} upright stretches of scan lines are longer than {LONGEST_GROUP_M} m: "
             "profiles run along poles, where the scan-line method finds none.",
             stacklevel=2,
         )
@@ -141,7 +141,7 @@ def _warn_of_upright(groups):
 
 def _clusters(groups):
     """Cluster of each group: groups that overlap in plan on neighbouring lines are linked."""
-    reach = WIDEST_M + OVERLAP_M
+    reach = LONGEST_GROUP_M + OVERLAP_M
     lines = groups["line"] * (reach / (NEIGHBOURS + 0.5))
     tree = cKDTree(np.column_stack([groups["centre"][:, :2], lines]))
     a, b = tree.query_pairs(reach, p=np.inf, output_type="ndarray").T
@@ -167,7 +167,7 @@ def _merged(points, member):
     centre, direction = axes["centre"], axes["direction"]
     low, high = centre[:, 2] + axes["ends"].T * direction[:, 2]
     tall = np.flatnonzero(high - low >= 0.2)
-    reach = MERGE_M + np.tan(np.radians(MERGE_DEG)) * GAP_M
+    reach = MERGE_M + np.tan(np.radians(MERGE_DEG)) * MERGE_GAP_M
     a, b = tall[cKDTree(centre[tall, :2]).query_pairs(reach, output_type="ndarray").T]
     gap = np.maximum(low[a], low[b]) - np.minimum(high[a], high[b])
     half = (centre[b, 2] - centre[a, 2])[:, None] / 2
@@ -176,7 +176,7 @@ def _merged(points, member):
     apart = centre[a, :2] + slope[a] * half - centre[b, :2] + slope[b] * half
     parallel = (direction[a] * direction[b]).sum(axis=1) >= np.cos(np.radians(MERGE_DEG))
     parallel |= np.minimum((high - low)[a], (high - low)[b]) < SHORT_M
-    linked = (np.hypot(*apart.T) <= MERGE_M) & parallel & (gap <= GAP_M)
+    linked = (np.hypot(*apart.T) <= MERGE_M) & parallel & (gap <= MERGE_GAP_M)
     return joined(a[linked], b[linked], len(low))[member]
 
 
@@ -194,18 +194,18 @@ def _mask(everything, own, axis):
     must form an upright, elongated shape.
     """
     along, across = _about(own, axis)
-    reach = np.hypot(np.abs(along).max(), across.max() + SHELL_M)
+    reach = np.hypot(np.abs(along).max(), across.max() + MASK_SHELL_M)
     near = everything.data[everything.query_ball_point(axis[0], reach)]
     near_along, near_across = _about(near, axis)
     accepted, shares = np.zeros(len(own), dtype=bool), []
-    for begin in np.arange(along.min(), along.max() - MASK_M + 1e-9, STEP_M):
+    for begin in np.arange(along.min(), along.max() - MASK_M + 1e-9, MASK_STEP_M):
         part = (along >= begin) & (along <= begin + MASK_M)
-        if part.sum() < FEWEST:
+        if part.sum() < FEWEST_IN_GROUP:
             continue
         between = (near_along >= begin) & (near_along <= begin + MASK_M)
         radius = across[part].max() + 1e-6
         inside = between & (near_across <= radius)
-        share = inside.sum() / (between & (near_across <= radius + SHELL_M)).sum()
+        share = inside.sum() / (between & (near_across <= radius + MASK_SHELL_M)).sum()
         if share >= MASK_SHARE and _is_upright(near[inside]):
             accepted |= part
             shares.append(share)
@@ -215,7 +215,7 @@ def _mask(everything, own, axis):
 def _is_upright(points):
     """Whether points have the orientation and the shape of a pole."""
     values, vectors = np.linalg.eigh(np.cov(points.T))
-    upright = abs(vectors[2, 2]) >= np.cos(np.radians(TILT_DEG))
+    upright = abs(vectors[2, 2]) >= np.cos(np.radians(LARGEST_TILT_DEG))
     return upright and values[2] >= MASK_ELONGATION * values[1]
 
 

@@ -26,13 +26,13 @@ GROUND_M = 0.3
 LINK_M, SLICE_M = 0.25, 0.3
 """Edge of the cells, which are connected where they touch; height of a slice."""
 
-DIAGONAL_M, SHIFT_M, GROWTH_M, MISSING = 0.6, 0.15, 0.25, 1
+DIAGONAL_M, SHIFT_M, GROWTH_M, EMPTY_SLICES = 0.6, 0.15, 0.25, 1
 """Longest diagonal of the rectangle of a pole-like slice; largest shift of the centre and change of
 the diagonal from slice to slice; most empty slices in a row within a stack."""
 
-LENGTH_M = 1.0
+LEAST_STACK_M = 1.0
 
-STACK = ["x_m", "y_m", "z_base_m", "height_m", "diameter_m", "lean_x", "lean_y", "score"]
+STACK_COLUMNS = ["x_m", "y_m", "z_base_m", "height_m", "diameter_m", "lean_x", "lean_y", "score"]
 
 PLANE_CELL_M, THICK_M, TURN_DEG, OFF_M, WALL_M = 0.4, 0.03, 12.0, 0.10, (1.5, 2.0)
 """Edge of the cells in which planes are fitted; largest thickness of a plane; largest angle and
@@ -54,9 +54,9 @@ def detect(points, *, explain=False):
         order = np.lexsort([level, component])
         parts = np.split(order, np.flatnonzero(np.diff(component[order])) + 1)
         stacks = [_stack(points[part, :2], level[part]) for part in parts]
-    rows = pd.DataFrame(stacks, columns=STACK, dtype=float)
+    rows = pd.DataFrame(stacks, columns=STACK_COLUMNS, dtype=float)
     rows["z_base_m"] += base
-    reason = np.where(rows["height_m"] < LENGTH_M, "length", "").astype(object)
+    reason = np.where(rows["height_m"] < LEAST_STACK_M, "length", "").astype(object)
     drop_duplicates(rows[["x_m", "y_m"]].to_numpy(), rows["score"], reason, 2 * SHIFT_M)
     return table(rows.assign(rejected_by=reason), "itc", explain=explain)
 
@@ -74,7 +74,7 @@ def _cells(points, size):
 
 
 def _stack(xy, level):
-    """``STACK`` of the longest stack of similar small slices of a component, its base from level 0.
+    """``STACK_COLUMNS`` of the longest stack of similar small slices, its base from level 0.
 
     The points, (n, 2) in metres, are sorted by level. The score is the stack's share of the slices.
     """
@@ -83,7 +83,7 @@ def _stack(xy, level):
     centre, size = (np.array([box[k] for box in boxes]) for k in (0, 1))
     diagonal, level = np.hypot(*size.T), level[first]
     narrow = diagonal <= DIAGONAL_M
-    breaks = ~(narrow[1:] & narrow[:-1]) | (np.diff(level) > MISSING + 1)
+    breaks = ~(narrow[1:] & narrow[:-1]) | (np.diff(level) > EMPTY_SLICES + 1)
     breaks |= np.abs(np.diff(diagonal)) > GROWTH_M
     breaks |= np.hypot(*np.diff(centre, axis=0).T) > SHIFT_M
     parts = np.split(np.arange(len(level)), np.flatnonzero(breaks) + 1)

@@ -15,7 +15,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.optimize import linear_sum_assignment
 
-from mmqa_lab._checks import check_plan, check_points, check_positive
+from mmqa_lab._checks import check_points, check_positive
 from mmqa_lab._results import Shown
 from mmqa_lab.cloud import path_distance
 from mmqa_lab.stats import Rate, wilson
@@ -212,10 +212,9 @@ def score(
     if corridor is not None:
         if trajectory is None:
             raise ValueError("Invalid trajectory None. Must be given with a corridor.")
-        path = check_plan(trajectory, name="trajectory")
         corridor = check_positive(corridor, "corridor", unit="m")
-        target &= path_distance(_plan(references, "references"), path) <= corridor
-        inside = path_distance(_plan(found, "detections"), path) <= corridor
+        target &= path_distance(_plan(references, "references"), trajectory) <= corridor
+        inside = path_distance(_plan(found, "detections"), trajectory) <= corridor
     pairs = match(found, references, gate=gate).set_index("detection").reindex(found.index)
     reference = pairs["reference"].fillna(-1).astype(int).to_numpy()
     hit = np.append(target, False)[reference]  # -1, no reference, takes the last

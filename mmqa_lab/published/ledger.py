@@ -34,13 +34,13 @@ from mmqa_lab._checks import check_choice
 __all__ = ["cells", "collect", "entries", "summary", "verdict", "verdicts"]
 __dir__ = __all__.copy
 
-KINDS = ("predicted", "measured", "fitted")
-VERDICTS = ("reproduced", "consistent", "fitted", "differs", "not comparable", "not run")
-NUMBER = ("relation", "printed", "value", "low", "high")
+OUR_KINDS = ("predicted", "measured", "fitted")
+CELL_VERDICTS = ("reproduced", "consistent", "fitted", "differs", "not comparable", "not run")
+NUMBER_PARTS = ("relation", "printed", "value", "low", "high")
 CELL = ["source", "table", "cell"]
 COLUMNS = [*CELL, "value", "low", "high", "kind", "note"]
 
-MARKS = {"a": "1", "b": "2", "c": "3"}
+FOOTNOTES = {"a": "1", "b": "2", "c": "3"}
 # Widest line pairs of the chart (Pfeifer et al. 2021, section 3.2): a dash is read as coarser.
 COARSEST_MM = {"h": 40.0, "v": 30.0}
 
@@ -107,7 +107,7 @@ def entries(rows: pd.DataFrame | list[dict], **same: str) -> pd.DataFrame:
     for place in table.set_index(CELL).index.difference(known, sort=False):
         raise ValueError(f"Invalid cell {' '.join(place)}. Must be one that cells() lists.")
     for kind in table["kind"]:
-        check_choice(kind, "kind", KINDS)
+        check_choice(kind, "kind", OUR_KINDS)
     return table
 
 
@@ -126,7 +126,7 @@ def verdict(printed: Mapping, ours: Mapping) -> str:
     Returns
     -------
     str
-        One of ``VERDICTS``. A dash without a bound is reproduced by a value that could not be
+        One of ``CELL_VERDICTS``. A dash without a bound is reproduced by a value that could not be
         measured either (NaN) and differs by one that could.
 
     Examples
@@ -241,7 +241,7 @@ def summary(ledger: pd.DataFrame) -> pd.DataFrame:
     rows = ledger[ledger["decides"] & (ledger["role"] == "result")]
     sources = published._strings("sources")["source"]
     counts = pd.crosstab(rows["source"], rows["verdict"])
-    counts = counts.reindex(index=sources, columns=VERDICTS, fill_value=0)
+    counts = counts.reindex(index=sources, columns=CELL_VERDICTS, fill_value=0)
     counts.loc["all"] = counts.sum()
     return counts if counts["not run"].any() else counts.drop(columns="not run")
 
@@ -272,7 +272,7 @@ def _cell(row, layout, measure, column):
         "table": layout["table"],
         "cell": " ".join(name.split()),
         "role": row.get("role") or layout["role"],
-        **dict(zip(NUMBER, number, strict=True)),
+        **dict(zip(NUMBER_PARTS, number, strict=True)),
         "unit": column["unit"] or row["unit"],
         "section": row["section"],
     }
@@ -290,7 +290,7 @@ def _number(row, measure):
     if "low" in row:
         value = (row["low"] or row["high"]) if row["relation"] else ""
         row, measure = {"relation": row["relation"], "value": value}, "value"
-    digits = MARKS.get(row.get("printed"), row[measure])
+    digits = FOOTNOTES.get(row.get("printed"), row[measure])
     if digits == "":
         return None
     relation = row.get("relation") or "="
@@ -341,7 +341,7 @@ def _entries(folder):
     for file in sorted(Path(folder).glob("*/ledger.csv")):
         found.append(entries(pd.read_csv(file)).assign(study=file.parent.name))
     found = pd.concat(found[1:] or found).astype(dict.fromkeys(ours, float))
-    found["rank"] = found["kind"].map(KINDS.index)
+    found["rank"] = found["kind"].map(OUR_KINDS.index)
     renamed = {"value": "ours", "low": "ours_low", "high": "ours_high"}
     return found.sort_values("rank", kind="stable").rename(columns=renamed)
 

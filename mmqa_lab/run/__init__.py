@@ -48,7 +48,7 @@ LATEX = str.maketrans(
 # Kinds of numbers. Published numbers are printed in a source. Predicted numbers follow from
 # specifications alone. Fitted numbers follow from parameters that were chosen to come close to
 # published ones. Measured numbers come from a real or simulated cloud or image.
-KINDS = ("published", "predicted", "fitted", "measured")
+NUMBER_KINDS = ("published", "predicted", "fitted", "measured")
 
 DIGITS = ("zero", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
 
@@ -111,9 +111,9 @@ class Run:
     def save_table(self, frame: pd.DataFrame, name: str, *, kind: str = "") -> None:
         """Write a DataFrame as ``<name>.csv`` and, for a paper, as ``<name>.tex``.
 
-        The table states the kind of its numbers, one of ``KINDS``, in the name of a column or in a
-        column of texts. ``kind`` adds such a column. It applies to the columns whose kind is not
-        stated otherwise.
+        The table states the kind of its numbers, one of ``NUMBER_KINDS``, in the name of a column
+        or in a column of texts. ``kind`` adds such a column. It applies to the columns whose kind
+        is not stated otherwise.
 
         Raises
         ------
@@ -125,7 +125,7 @@ class Run:
         self._kinds[name] = _kind_of(frame)
         has_numbers = len(frame) and len(frame.select_dtypes(["number", "bool"]).columns)
         if has_numbers and not self._kinds[name]:
-            kinds = ", ".join(KINDS)
+            kinds = ", ".join(NUMBER_KINDS)
             raise ValueError(f"Invalid table {name}: numbers of no kind. Must be one of {kinds}.")
         self._remove(name)
         self._write(f"{name}.csv", frame)
@@ -192,7 +192,7 @@ class Run:
         figure : str
             The figure that shows the numbers.
         kind : str
-            The kind of the numbers, one of ``KINDS``.
+            The kind of the numbers, one of ``NUMBER_KINDS``.
         thumbnail : str
             A figure that shows what the study is about; by default ``figure``.
         **numbers : float
@@ -357,7 +357,7 @@ def four_digits(number):
 def _kind_of(frame):
     """The kinds of a table's numbers, from a column with a kind in each row or from the names."""
     words = frame.select_dtypes(exclude=["number", "bool"]).astype(str)
-    columns = [name for name in words if words[name].str.contains("|".join(KINDS)).all()]
+    columns = [name for name in words if words[name].str.contains("|".join(NUMBER_KINDS)).all()]
     text = " ".join(words[columns[0]].unique() if columns else map(str, frame))
-    kinds = ", ".join(kind for kind in KINDS if kind in text)
+    kinds = ", ".join(kind for kind in NUMBER_KINDS if kind in text)
     return f"{kinds} (simulated)" if kinds and "simulated" in text else kinds

@@ -24,8 +24,8 @@ from mmqa_lab.run.api import public_names
 from mmqa_lab.studies import notebooks_folder
 
 __all__ = [
-    "ANSWERS", "LEDGER", "TEMPLATES", "filled", "notebook_page", "stored_answers", "write_ledger",
-    "write_pages", "write_report", "write_words",
+    "ANSWERS", "LEDGER_COLUMNS", "TEMPLATES", "filled", "notebook_page", "stored_answers",
+    "write_ledger", "write_pages", "write_report", "write_words",
 ]  # fmt: skip
 
 TEMPLATES = Path(__file__).parent / "templates"
@@ -39,7 +39,7 @@ WRAPPED = "<style>.highlight pre { white-space: pre-wrap !important }</style>"
 ANSWERS = "answers.csv"
 
 # Columns of the ledger page.
-LEDGER = ["source", "table", "cell", "role", "printed", "ours", "kind", "study", "note"]
+LEDGER_COLUMNS = ["source", "table", "cell", "role", "printed", "ours", "kind", "study", "note"]
 
 
 def write_pages(folder, studies):
@@ -104,7 +104,9 @@ def write_ledger(path, rows, quick=False):
     rows = rows.assign(printed=rows["printed"] + " " + rows["unit"], ours=ours)
     decided = rows[rows["decides"] & (rows["role"] == "result")]
     zeros = int(((decided["verdict"] == "reproduced") & (decided["value"] == 0)).sum())
-    shown = rows[LEDGER if quick else ["verdict", *LEDGER]].to_html(index=False, border=0)
+    shown = rows[LEDGER_COLUMNS if quick else ["verdict", *LEDGER_COLUMNS]].to_html(
+        index=False, border=0
+    )
     page = filled("ledger.html", counts=counts, zeros=zeros, table=shown)
     write_atomically(path, page)
     return counts

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __all__ = [
-    "QUANTITIES",
+    "LATTICE_QUANTITIES",
     "Lattice",
     "Patch",
     "ScanSetup",
@@ -65,7 +65,7 @@ __all__ = [
 
 # Quantities that have derivatives; d1, d4 and f jump from lattice point to lattice point.
 SMOOTH = (*MEASURED, "density_per_m2")
-QUANTITIES = (*SMOOTH, "d1_mm", "d4_mm", "f")
+LATTICE_QUANTITIES = (*SMOOTH, "d1_mm", "d4_mm", "f")
 """Predicted quantities, in the order of the table of a lattice."""
 
 EXPLAINED = (
@@ -75,7 +75,7 @@ EXPLAINED = (
 """The inputs of Table 6."""
 
 TRAVEL = np.array([0.0, 1.0, 0.0])  # the vehicle drives along Y
-FEWEST = 100  # pulses per revolution; with fewer, a step on the surface is not small
+FEWEST_PULSES = 100  # pulses per revolution; with fewer, a step on the surface is not small
 SPEEDS = np.geomspace(0.01, 100.0, 4001)  # tried before the refinement, m/s
 SHOWN_WITH_SPEED = ("density_per_m2", "f", "detail_mm")
 SPREAD = np.outer([0.7548776662466927, 0.5698402909980532], np.arange(400))  # over a cell
@@ -123,10 +123,10 @@ class ScanSetup:
     def __post_init__(self):
         for name in SETUP_NAMES:
             check_values(getattr(self, name), name, positive=not name.endswith("_deg"))
-        if np.min(np.divide(self.pulse_rate_hz, self.mirror_frequency_hz)) < FEWEST:
+        if np.min(np.divide(self.pulse_rate_hz, self.mirror_frequency_hz)) < FEWEST_PULSES:
             raise ValueError(
                 f"Invalid pulse_rate_hz {self.pulse_rate_hz} for mirror_frequency_hz "
-                f"{self.mirror_frequency_hz}. Must be {FEWEST} pulses a revolution or more."
+                f"{self.mirror_frequency_hz}. Must be {FEWEST_PULSES} pulses a revolution or more."
             )
         if (np.abs(self.rotation[..., 1, 1]) < 1e-9).any():
             raise ValueError(
@@ -287,8 +287,8 @@ class Lattice(Shown):
         return 1000 * detail_size(self.a, self.b)
 
     def to_frame(self) -> pd.DataFrame:
-        """Return a DataFrame of ``QUANTITIES``, one row per spot."""
-        return pd.DataFrame({name: np.ravel(getattr(self, name)) for name in QUANTITIES})
+        """Return a DataFrame of ``LATTICE_QUANTITIES``, one row per spot."""
+        return pd.DataFrame({name: np.ravel(getattr(self, name)) for name in LATTICE_QUANTITIES})
 
     def points(self, half_width: float = 0.25) -> np.ndarray:
         """Return the lattice points about a single spot, along ``axes``, (n, 2), metres."""
@@ -531,8 +531,8 @@ def largest_speed(
     target : Target or Patch
         A single spot.
     quantity : str
-        One of ``QUANTITIES`` except the profile angle, or detail_mm: the largest size of details
-        of which 95 % shall show three points or more.
+        One of ``LATTICE_QUANTITIES`` except the profile angle, or detail_mm: the largest size of
+        details of which 95 % shall show three points or more.
     limit : float
         In the unit of the quantity.
 
@@ -561,7 +561,7 @@ def largest_speed(
     >>> round(3.6 * speed)
     54
     """
-    allowed = [*(one for one in QUANTITIES if one != "profile_angle_deg"), "detail_mm"]
+    allowed = [*(one for one in LATTICE_QUANTITIES if one != "profile_angle_deg"), "detail_mm"]
     check_choice(quantity, "quantity", allowed)
     limit = check_positive(limit, "limit")
 
@@ -680,7 +680,11 @@ def propagate(
         ) from None
     low, high = np.quantile(drawn, (0.025, 0.975), axis=0)
     predicted = scan_lattice(setup, target).to_frame().iloc[0].to_numpy()
-    table = {"quantity": list(QUANTITIES), "predicted": predicted, "std": drawn.std().to_numpy()}
+    table = {
+        "quantity": list(LATTICE_QUANTITIES),
+        "predicted": predicted,
+        "std": drawn.std().to_numpy(),
+    }
     return pd.DataFrame({**table, "low": low, "high": high, "n": draws})
 
 

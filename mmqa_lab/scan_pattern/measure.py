@@ -29,16 +29,16 @@ __all__ = [
 ]
 
 PAUSE = 20  # longer pauses, in typical time steps, separate runs of points
-FEW = 16  # number of runs whose beginnings are compared for the period
+FEW_RUNS = 16  # number of runs whose beginnings are compared for the period
 OFF_LINE = 4.0  # points farther off their profile, in robust standard deviations, are left out
 LEAST_OFF_M = 1e-4  # points nearer to their profile are always kept
 MANY = 150  # least number of points for a fit of curvature and of the turn of the beam
 TURNED = 1e-7  # a direction is final once it turns by less, radians
-BLOCKS = 40  # blocks of profiles left out in turn; single profiles if there are fewer
+PROFILE_BLOCKS = 40  # blocks of profiles left out in turn; single profiles if there are fewer
 TIES = 0.02  # share of neighbours of equal time above which a clock is too coarse for pulses
 LONGEST_S = 300_000.0  # a longer span of times passes the end of a GPS week
 CROSSED = 0.3  # largest scatter as a share of the gap, and largest share of points left out
-UNEVEN = 0.2  # largest relative difference of the median gap from the mean gap
+UNEVEN_GAP = 0.2  # largest relative difference of the median gap from the mean gap
 MEASURED = (
     *(f"profile_spacing_{way}_m" for way in ("perpendicular", "horizontal", "vertical")),
     *("profile_angle_deg", "point_spacing_m"),
@@ -269,7 +269,7 @@ def _check_one_head(fit, share):
     """Refuse points that are not on a family of parallel, evenly numbered profiles."""
     steps = np.abs(np.diff(fit.offsets) / np.diff(fit.numbers))
     crossed = np.std(fit.beside) > CROSSED * fit.gap or share < 1 - CROSSED
-    if crossed or abs(np.median(steps) / fit.gap - 1) > UNEVEN:
+    if crossed or abs(np.median(steps) / fit.gap - 1) > UNEVEN_GAP:
         raise ValueError(
             f"Invalid patch: points lie {np.std(fit.beside):.2g} m beside profiles {fit.gap:.2g} m "
             f"apart, {share:.0%} of them near. Must be one pass of one head, profiles numbered "
@@ -283,7 +283,7 @@ def _figures(fit, pulse):
     Sums over a block are taken from the sums over all. Without a block the plane turns by a small
     angle, to which all other figures are linear.
     """
-    count = min(BLOCKS, len(fit.numbers))
+    count = min(PROFILE_BLOCKS, len(fit.numbers))
     block_of = np.arange(len(fit.numbers)) * count // len(fit.numbers)
     blocks = block_of[fit.group]
     ones, terms = np.ones_like(fit.x), _profile_terms(fit.x, fit.y, fit.off)
@@ -441,7 +441,7 @@ def mirror_frequency(time):
     order = np.sort(np.asarray(time, dtype=np.float64) - np.min(time))
     step = np.diff(order)
     typical = np.median(step[step > 0]) if (step > 0).any() else np.inf
-    begins = np.append(0.0, order[1:][step > PAUSE * typical])[:FEW]
+    begins = np.append(0.0, order[1:][step > PAUSE * typical])[:FEW_RUNS]
     periods = np.unique(np.subtract.outer(begins, begins))
     periods = periods[periods > 0]
     if not len(periods):

@@ -23,7 +23,7 @@ from mmqa_lab.charts import encode, reflectance
 
 __all__ = ["ChartMap", "Optics", "PanoramaCamera", "Photo", "Sensor", "chart_view", "photograph"]
 
-FINE, SURROUND, SHOT_SHARE = 6, 0.4, 0.5
+FINE_CELLS, SURROUND, SHOT_SHARE = 6, 0.4, 0.5
 """Samples along each side of a pixel; tone around a chart; share of the noise's variance at full
 scale that is proportional to the signal."""
 
@@ -217,24 +217,28 @@ def _window(layout, chart_map, margin):
 def _exposed(layout, chart_map, size, optics, colour):
     """The mean tone in each pixel after motion, point spread and integration."""
     centre = np.array([[layout.width / 2, layout.height / 2]])
-    cell = max(chart_map.pixel_sizes_mm(centre).min() / FINE, max(layout.corners()[2]) / 12_000)
+    cell = max(
+        chart_map.pixel_sizes_mm(centre).min() / FINE_CELLS, max(layout.corners()[2]) / 12_000
+    )
     printed = reflectance(layout, cell=cell, colour=colour)
     travel = np.asarray(optics.travel, dtype=float)
     instants = 1
     if travel.any():
         start, end = (_moved(chart_map, travel, t).pixels(centre) for t in (-0.5, 0.5))
-        instants = int(np.ceil(np.linalg.norm(end - start) * FINE / 2)) + 1
+        instants = int(np.ceil(np.linalg.norm(end - start) * FINE_CELLS / 2)) + 1
     total = 0
     for t in (np.arange(instants) + 0.5) / instants - 0.5:
         total = total + _sampled(printed, cell, _moved(chart_map, travel, t), size)
     samples = total / instants
     # samples add a cell (1/12) read bilinearly (1/6), less 1/12, in squares of their steps
-    left = optics.sigma_px**2 - (1 / 12 + 1 / 6 - 1 / 12) / FINE**2
+    left = optics.sigma_px**2 - (1 / 12 + 1 / 6 - 1 / 12) / FINE_CELLS**2
     if left > 0:
-        samples = cv2.GaussianBlur(samples, (0, 0), FINE * np.sqrt(left))
+        samples = cv2.GaussianBlur(samples, (0, 0), FINE_CELLS * np.sqrt(left))
     if optics.defocus_px > 0:
-        samples = cv2.filter2D(samples, -1, _disc(optics.defocus_px * FINE))
-    return samples.reshape(size[1], FINE, size[0], FINE, *samples.shape[2:]).mean(axis=(1, 3))
+        samples = cv2.filter2D(samples, -1, _disc(optics.defocus_px * FINE_CELLS))
+    return samples.reshape(size[1], FINE_CELLS, size[0], FINE_CELLS, *samples.shape[2:]).mean(
+        axis=(1, 3)
+    )
 
 
 def _moved(chart_map, travel, t):
@@ -245,14 +249,14 @@ def _moved(chart_map, travel, t):
 
 
 def _sampled(printed, cell, chart_map, size):
-    """The tones at a regular grid of samples, ``FINE`` along each side of a pixel."""
+    """The tones at a regular grid of samples, ``FINE_CELLS`` along each side of a pixel."""
     columns, rows = size
     column, row = np.meshgrid(np.arange(-1, columns + 1.0), np.arange(-1, rows + 1.0))
     places = chart_map.chart(np.column_stack([column.ravel(), row.ravel()]))
     places = (places / cell - 0.5).astype(np.float32).reshape(rows + 2, columns + 2, 2)
     # within a pixel the map is straight to 1e-4 px; resizing interpolates between centres
-    dense = cv2.resize(places, None, fx=FINE, fy=FINE, interpolation=cv2.INTER_LINEAR)
-    dense = np.ascontiguousarray(dense[FINE:-FINE, FINE:-FINE])
+    dense = cv2.resize(places, None, fx=FINE_CELLS, fy=FINE_CELLS, interpolation=cv2.INTER_LINEAR)
+    dense = np.ascontiguousarray(dense[FINE_CELLS:-FINE_CELLS, FINE_CELLS:-FINE_CELLS])
     samples = np.empty((*dense.shape[:2], *printed.shape[2:]), dtype=np.float32)
     # remap addresses at most 32,767 rows at once
     for first in range(0, len(dense), 16_384):

@@ -16,7 +16,7 @@ from mmqa_lab.simulate.surfaces import DISC, SHAFT, group
 
 __all__ = ["Hits", "Scene", "Tree", "nearest"]
 
-STACK = 128
+STACK_DEPTH = 128
 
 
 class Hits(NamedTuple):
@@ -177,7 +177,7 @@ def _hierarchy(box_low, box_high, centre):
 def _cut(members, centre, depth):
     """Cut a node where its centres' extent is widest, in the middle; return axis and place.
 
-    Below 60 levels, nodes are halved by number, so that ``STACK`` suffices.
+    Below 60 levels, nodes are halved by number, so that ``STACK_DEPTH`` suffices.
     """
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for i in members:
@@ -267,7 +267,7 @@ def nearest(tree, stack, rays, best, hit):
     Parameters
     ----------
     tree : Tree
-    stack : array of int, shape (STACK,)
+    stack : array of int, shape (STACK_DEPTH,)
         To work with.
     rays : array, shape (k, 9)
         Start, direction, and room for the reciprocals of the direction. Rays that stay close
@@ -323,7 +323,7 @@ def _cosine(tree, ray, t, i):
 @njit(cache=True, nogil=True, error_model="numpy")
 def _cast(begin, end, tree, beams, ranges, hit, cosine):
     """Write range, primitive and cosine of incidence of rays, (n, k), inf and -1 where none."""
-    stack, rays = np.empty(STACK, np.int64), np.empty((beams.shape[1], 9))
+    stack, rays = np.empty(STACK_DEPTH, np.int64), np.empty((beams.shape[1], 9))
     for n in range(begin, end):
         for k in range(len(rays)):
             for j in range(6):

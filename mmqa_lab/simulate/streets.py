@@ -85,14 +85,14 @@ class Plan:
     pipes_per_100m: float = 3.0
 
 
-_TABLES = read_toml(Path(__file__).with_suffix(".toml"))
+_STREETS = read_toml(Path(__file__).with_suffix(".toml"))
 
-PLANS = {name: Plan(**rates) for name, rates in _TABLES["plans"].items()}
+PLANS = {name: Plan(**rates) for name, rates in _STREETS["plans"].items()}
 """Streets by name. ``table-4-1`` was chosen so that its rates come near those of that table."""
 
 SCANNERS = {
     name: replace(PRESETS[entry["like"]], lever_arm_m=entry["lever_arm_m"])
-    for name, entry in _TABLES["scanners"].items()
+    for name, entry in _STREETS["scanners"].items()
 }
 """Scanners on a mast: the EuroSDR set-up, two modern ones and an old side-looking one."""
 

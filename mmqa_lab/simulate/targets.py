@@ -24,7 +24,7 @@ from mmqa_lab._checks import check_choice, check_count, check_number, check_posi
 from mmqa_lab.mtf import LENS_TRANSFERS, lens_mtf
 
 __all__ = [
-    "ATMOSPHERES", "FINE", "LENGTH_M", "SURFACES", "Atmosphere", "Flight", "ImageBlock",
+    "ATMOSPHERES", "FINE", "FLIGHT_LENGTH_M", "SURFACES", "Atmosphere", "Flight", "ImageBlock",
     "PointSpread", "blur_over_image", "expose", "fly_block", "render_bars", "render_edge",
     "render_star", "texture",
 ]  # fmt: skip
@@ -311,7 +311,7 @@ SURFACES = pd.DataFrame(
 GAIN_DN, WINDOW_PIXELS = 9000.0, 25
 """Of a block's observations: DN per unit of light, pixels that are averaged about a tie point."""
 
-WIDTH_M, LENGTH_M, HEIGHT_M = 360.0, 240.0, 300.0
+WIDTH_M, FLIGHT_LENGTH_M, HEIGHT_M = 360.0, 240.0, 300.0
 """Ground that an image of a block sees across and along the flight, height of flight."""
 
 FORWARD_OVERLAP, SIDE_OVERLAP = 0.6, 0.4
@@ -380,13 +380,13 @@ def fly_block(flight=Flight(), *, seed):
     stations = _stations(flight, rng)
     seen = stations.merge(_ties(stations, rng), how="cross")
     dx, dy = seen["x_m"] - seen["centre_x_m"], seen["y_m"] - seen["centre_y_m"]
-    inside = (dx.abs() < WIDTH_M / 2) & (dy.abs() < LENGTH_M / 2)
+    inside = (dx.abs() < WIDTH_M / 2) & (dy.abs() < FLIGHT_LENGTH_M / 2)
     often = inside.groupby(seen["tie"]).transform("sum") > 1
     seen, dx, dy = (table[inside & often].reset_index(drop=True) for table in (seen, dx, dy))
     distance, to_camera = np.hypot(dx, dy), np.degrees(np.arctan2(-dx, -dy))
     seen["view_zenith_deg"] = np.degrees(np.arctan2(distance, HEIGHT_M))
     seen["azimuth_deg"] = np.abs((to_camera - seen["sun_azimuth_deg"] + 180) % 360 - 180)
-    seen["radius"] = 2 * distance / np.hypot(WIDTH_M, LENGTH_M)
+    seen["radius"] = 2 * distance / np.hypot(WIDTH_M, FLIGHT_LENGTH_M)
     view, azimuth = np.radians(seen["view_zenith_deg"]), np.radians(seen["azimuth_deg"])
     turned = 1 + seen["b1"] * view**2 + seen["b2"] * view * np.cos(azimuth)
     sun = np.cos(np.radians(seen["sun_zenith_deg"]))
@@ -403,7 +403,7 @@ def fly_block(flight=Flight(), *, seed):
 def _stations(flight, rng):
     """Images of the flight in the order of time."""
     strips, images = check_count(flight.strips, "strips"), check_count(flight.images, "images")
-    base = LENGTH_M * (1 - FORWARD_OVERLAP)
+    base = FLIGHT_LENGTH_M * (1 - FORWARD_OVERLAP)
     strip, k = (v.ravel() for v in np.indices((strips, images)))
     n = strips * images
     exposure = np.round(np.exp(rng.normal(0, 0.1, n)) * 20) / 20
@@ -411,7 +411,7 @@ def _stations(flight, rng):
         {
             "image": np.arange(n),
             "centre_x_m": WIDTH_M * (0.5 + strip * (1 - SIDE_OVERLAP)),
-            "centre_y_m": LENGTH_M / 2 + base * np.where(strip % 2 == 0, k, images - 1 - k),
+            "centre_y_m": FLIGHT_LENGTH_M / 2 + base * np.where(strip % 2 == 0, k, images - 1 - k),
             "exposure": exposure,
             "sun_zenith_deg": np.linspace(*SUN_ZENITH_DEG, n),
             "sun_azimuth_deg": np.linspace(*SUN_AZIMUTH_DEG, n),
@@ -422,7 +422,7 @@ def _stations(flight, rng):
 
 def _ties(stations, rng, fields=60):
     """Tie points every 20 m: each has the surface of the nearest of some fields, and details."""
-    size = stations[["centre_x_m", "centre_y_m"]].max() + [WIDTH_M / 2, LENGTH_M / 2]
+    size = stations[["centre_x_m", "centre_y_m"]].max() + [WIDTH_M / 2, FLIGHT_LENGTH_M / 2]
     x, y = np.meshgrid(*(np.arange(10, side, 20) for side in size))
     places = np.column_stack([x.ravel(), y.ravel()])
     kind = rng.permutation(np.arange(fields) % len(SURFACES))

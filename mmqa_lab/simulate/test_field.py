@@ -17,7 +17,13 @@ from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.surfaces import box, cylinder, rectangle
 from mmqa_lab.simulate.trajectories import measured, straight
 
-__all__ = ["REFERENCE_STD_M", "SPEED", "SimulatedField", "drive_test_field", "make_test_field"]
+__all__ = [
+    "FIELD_SPEED",
+    "REFERENCE_STD_M",
+    "SimulatedField",
+    "drive_test_field",
+    "make_test_field",
+]
 
 ROAD_HALF_M = 5.0
 PAVEMENT_M = 4.0
@@ -25,7 +31,7 @@ CURB_M = 0.12
 LANE_M = 2.5
 """Distance of the two paths from the street's axis."""
 
-SPEED = 10.0
+FIELD_SPEED = 10.0
 """Of both drives, m/s."""
 
 REFERENCE_REACH_M = 35.0
@@ -97,9 +103,9 @@ class SimulatedField:
     def drives(self):
         """Return the true paths 2.2 m above the road, to the north on the right lane, and back."""
         x, y, z = self.origin + [0, 0, 2.2]
-        there = straight(self.length_m, SPEED, start=(x + LANE_M, y, z))
+        there = straight(self.length_m, FIELD_SPEED, start=(x + LANE_M, y, z))
         away = (x - LANE_M, y + self.length_m, z)
-        back = straight(self.length_m, SPEED, start=away, heading=180, start_time=1000.0)
+        back = straight(self.length_m, FIELD_SPEED, start=away, heading=180, start_time=1000.0)
         return [there, back]
 
 

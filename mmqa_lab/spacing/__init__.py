@@ -58,22 +58,22 @@ STEP_DEG = 4.0
 SECTOR_STEPS = 15
 """Width of a sector in steps of STEP_DEG: 60 degrees, a third of all directions."""
 
-MOST = 100_000
+MOST_DIRECTED = 100_000
 """Most points whose spacing by direction is measured; with more points, a random choice of them."""
 
 AT_ONCE = 1_000_000
 """Number of neighbours that are searched together; it limits the memory."""
 
-FEW = 30_000
+FEW_FOR_SCIPY = 30_000
 """Total number of points searched by scipy before numba is imported, which takes as long."""
 
 CHANCE = 3.2
 """95 % of random patterns of n points have a g below 1 + CHANCE / sqrt(n)."""
 
-FEWEST = 50
+FEWEST_POINTS = 50
 """Least number of points for an interval."""
 
-PLACES = 10_000
+EMPTY_PLACES = 10_000
 """Number of places of a surface from which points are sought; four times as many move e95 by 1 %
 at most, on random points, lines and clusters."""
 
@@ -156,7 +156,7 @@ class Spacing(Shown):
     @cached_property
     def waves(self) -> np.ndarray:
         """Waves for the intervals, see :func:`line_waves`."""
-        return line_waves(self.xy, self.directional if self.n >= FEWEST else None)
+        return line_waves(self.xy, self.directional if self.n >= FEWEST_POINTS else None)
 
     def plot(self, *, ax: Axes | None = None) -> Axes:
         """Draw the nearest and the farthest quadrant distances of all points, and their medians."""
@@ -514,7 +514,7 @@ def directional(xy: ArrayLike, *, radius: float = 0.5) -> DirectionalSpacing:
     directions = np.arange(0, 180, STEP_DEG)
     extent = np.ptp(xy, axis=0)
     limit = 3 * max(np.sqrt(np.prod(extent) / len(xy)), extent.max() / len(xy), 1e-9)
-    rows = np.sort(np.random.default_rng(0).permutation(len(xy))[:MOST])
+    rows = np.sort(np.random.default_rng(0).permutation(len(xy))[:MOST_DIRECTED])
     medians, reach = np.array(np.inf), 16
     while np.isinf(medians).any():  # points beyond the medians cannot change them
         limit = min(limit, radius)
@@ -639,7 +639,7 @@ def empty_space(xy: ArrayLike, *, outline: object = None, rank: int = 1) -> Empt
     elif not isinstance(outline, shapely.Geometry):
         outline = shapely.Polygon(check_points(outline, name="outline", columns=2, minimum=3))
     low, high = np.reshape(outline.bounds, (2, 2))
-    count = PLACES * min(100, np.prod(high - low) / max(outline.area, 1e-300))
+    count = EMPTY_PLACES * min(100, np.prod(high - low) / max(outline.area, 1e-300))
     places = np.outer(np.arange(count if outline.area else 0), STEPS) % 1 * (high - low) + low
     places = places[shapely.contains_xy(outline, *places.T)]
     distances = cKDTree(xy - low, balanced_tree=False).query(places - low, [rank])[0][:, 0]
@@ -687,7 +687,7 @@ def line_waves(xy: ArrayLike, found: DirectionalSpacing | None = None) -> np.nda
     (2, 640)
     """
     xy = np.asarray(xy, dtype=np.float64)
-    if len(xy) < FEWEST or not np.ptp(xy, axis=0).any():
+    if len(xy) < FEWEST_POINTS or not np.ptp(xy, axis=0).any():
         return np.zeros(len(xy), dtype=np.intp)
     found = directional(xy) if found is None else found
     if found.g > 1 + CHANCE / np.sqrt(found.n):
@@ -750,7 +750,7 @@ _searched = []  # numbers of points searched by scipy so far
 
 def _nearest_per_quadrant(xy, radius, of):
     """The compiled search, or the search by scipy for few points while numba is not imported."""
-    if "numba" in sys.modules or sum(_searched) + len(xy) > FEW:
+    if "numba" in sys.modules or sum(_searched) + len(xy) > FEW_FOR_SCIPY:
         from mmqa_lab.spacing._search import nearest_per_quadrant
 
         return nearest_per_quadrant(xy, radius, of)
@@ -782,7 +782,7 @@ def _nearest(xy, rows, radius, reach, ranks, fold):
     while waiting:
         part, reach = waiting.pop()
         bound = radius * (1 + 1e-9)  # a little larger, since scipy compares squares
-        choices = {"distance_upper_bound": bound, "workers": 1 + len(part) // FEW}
+        choices = {"distance_upper_bound": bound, "workers": 1 + len(part) // FEW_FOR_SCIPY}
         _, other = tree.query(xy[rows[part]], np.arange(1, reach + 1), **choices)
         offset = places[other] - places[rows[part], None]
         away = np.sqrt(offset.real**2 + offset.imag**2)
