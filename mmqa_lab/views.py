@@ -62,7 +62,9 @@ def is_headless() -> bool:
     return bool(os.environ.get("MMQA_HEADLESS"))
 
 
-def show_cloud(cloud: ArrayLike, values: ArrayLike, *, label: str) -> Any:
+def show_cloud(
+    cloud: ArrayLike, values: ArrayLike, *, label: str, limit: float | None = None
+) -> Any:
     """Show a cloud in 3-D, coloured by a value for each point.
 
     In JupyterLab the view can be turned; in a run without a screen it is a picture; without OpenGL
@@ -76,6 +78,8 @@ def show_cloud(cloud: ArrayLike, values: ArrayLike, *, label: str) -> Any:
         Residuals, intensities, f, ...
     label : str
         Name and unit of the values.
+    limit : float, optional
+        Colour from red to blue between this value and its negative, as pictures of planes do.
 
     Returns
     -------
@@ -100,20 +104,23 @@ def show_cloud(cloud: ArrayLike, values: ArrayLike, *, label: str) -> Any:
 
     choices: dict = {"jupyter_backend": "static"}
     if not is_headless():
-        choices = {"jupyter_backend": "server", "jupyter_kwargs": {"collapse_menu": True}}
+        looks = {"collapse_menu": True, "iframe_attrs": {"title": f"3-D view: {label}"}}
+        choices = {"jupyter_backend": "server", "jupyter_kwargs": looks}
         # it would download code from the network when the first view opens
         sys.modules.setdefault("trame.widgets.vtklocal", None)  # type: ignore[arg-type]
-    return _plotter(local, values, label).show(return_viewer=True, **choices)
+    return _plotter(local, values, label, limit).show(return_viewer=True, **choices)
 
 
-def _plotter(local, values, label):
+def _plotter(local, values, label, limit=None):
     """The pyvista scene of one cloud."""
     import pyvista
 
     plotter = pyvista.Plotter(off_screen=is_headless(), window_size=(900, 650))
-    marks = _round_ticks(np.nanmin(values), np.nanmax(values))
-    bar = {"title": f"{label}\n", "n_labels": len(marks), "fmt": "%g", "position_x": 0.2}
-    shades = {"scalars": values, "clim": marks[[0, -1]], "cmap": plots.MAP, "point_size": 4}
+    marks, cmap = np.array([-1, 0, 1]) * (limit or 0), plots.DIVERGING_MAP
+    if limit is None:
+        marks, cmap = _round_ticks(np.nanmin(values), np.nanmax(values)), plots.MAP
+    bar = {"title": f"{label}\n", "n_labels": len(marks), "fmt": "%.4g", "position_x": 0.2}
+    shades = {"scalars": values, "clim": marks[[0, -1]], "cmap": cmap, "point_size": 4}
     plotter.add_points(pyvista.PolyData(local), **shades, scalar_bar_args=bar)
     extent, box, shown = np.ptp(local, axis=0), [], {}
     for axis, title, length in zip("xyz", TITLES, extent, strict=True):

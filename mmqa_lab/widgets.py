@@ -50,10 +50,14 @@ MEANINGS = {"a": "a: every letter", "b": "b: the text", "c": "c: not legible"}
 WIDEST_PX, LARGEST_ZOOM = 800, 12
 
 # Margins of the tool's figure, as shares of it, and between its panels, as shares of a panel.
-MARGINS = {"left": 0.07, "right": 0.98, "bottom": 0.11, "top": 0.88, "wspace": 0.25, "hspace": 1}
+MARGINS = {"left": 0.08, "right": 0.98, "bottom": 0.09, "top": 0.9, "wspace": 0.25, "hspace": 1}
 
-# Most points drawn, and most planes listed, those with the most points first. All are used.
-SHOWN, LISTED = 10_000, 12
+# Most points drawn, and most planes listed, those with the most points first: of at least this
+# share of the points of the largest. All are used.
+SHOWN, LISTED, SMALLEST = 10_000, 12, 0.01
+
+# A cross-section shows this share of the selected points, on either side of its middle.
+STRIP = 0.05
 
 # A plane longer than so many times its width is shown through a window of this ratio, of at least
 # so large a share of the plane.
@@ -65,7 +69,10 @@ NEAR_PX = 10
 # Colours of the other planes in the picture and in the list.
 TINTS = ("#56B4E9", "#009E73", "#E69F00", "#CC79A7", "#F0E442", "#999999")
 
-WIDE = {"width": "20em"}
+# Colour of places that would not show a detail.
+MISSED = "#F7C9A8"
+
+WIDE = {"width": "24em"}
 
 AXES = ("easting", "northing", "height")
 
@@ -148,10 +155,14 @@ def slider(
     ('speed (km/h)', 40.0)
     """
     kind = ipywidgets.IntSlider if isinstance(step, int) else ipywidgets.FloatSlider
-    looks = {"style": {"description_width": "14em"}, "layout": {"width": "34em"}}
     limits = {"value": value, "min": low, "max": high, "step": step}
-    label = f"{name} ({unit})" if unit else name
-    return kind(**limits, description=label, continuous_update=False, **looks)
+    return kind(**limits, continuous_update=False, **_look(f"{name} ({unit})" if unit else name))
+
+
+def _look(label):
+    """A label and its width, and the width of the control."""
+    style, layout = {"description_width": "14em"}, {"width": "34em"}
+    return {"description": label, "style": style, "layout": layout}
 
 
 def choice(name: str, options: Sequence[str]) -> ipywidgets.Dropdown:
@@ -173,9 +184,7 @@ def choice(name: str, options: Sequence[str]) -> ipywidgets.Dropdown:
     >>> choice("pattern", ["lattice", "poisson"]).value
     'lattice'
     """
-    return ipywidgets.Dropdown(
-        options=options, description=name, style={"description_width": "14em"}
-    )
+    return ipywidgets.Dropdown(options=options, **_look(name))
 
 
 class SelectionTool:
@@ -229,17 +238,24 @@ class SelectionTool:
         self.choices, self.quality, self._followers = choices, None, []
         self._detail, self._written = detail, ""
         self.text = ipywidgets.HTML()
-        self.figure = Figure(figsize=(8.4, 4.3), dpi=100, layout="none")
-        axes = self.figure.subplot_mosaic("ab;ac", width_ratios=(1.8, 1), gridspec_kw=MARGINS)
+        self.figure = Figure(figsize=(8.4, 5.6), dpi=100, layout="none")
+        ratios = {"width_ratios": (1.8, 1), "height_ratios": (1, 1, 0.7)}
+        axes = self.figure.subplot_mosaic("ab;ac;dd", **ratios, gridspec_kw=MARGINS)
         self._map, *self._panels = axes.values()
         self._map.set(xlabel="along axis 1 (m)", ylabel="along axis 2 (m)", aspect="equal")
+        self._strip = self._map.axhspan(0, 0, color=plots.COLOURS["grey"], alpha=0.3)
         self._dots = self._map.scatter([], [], s=3, lw=0, c=[], cmap=plots.DIVERGING_MAP)
         self.figure.colorbar(self._dots, ax=self._map, label="distance from plane (mm)", pad=0.03)
-        (self._missed,) = self._map.plot([], [], ".", ms=1, color=plots.COLOURS["vermilion"])
+        look = {"ms": 4, "mew": 0, "color": MISSED, "zorder": 0.5}  # below the points
+        (self._missed,) = self._map.plot([], [], ".", **look)
         self.canvas = _canvas(self.figure)
-        self._controls = self._corners, self._undo, self._place = _polygon_controls()
+        self._corners = ipywidgets.Text(continuous_update=False, **_look("corners: x, y; ... (m)"))
+        self._undo = ipywidgets.Button(description="Undo: the polygon before", layout=WIDE)
+        self._cut = slider("cross-section at", 0.5, 0.0, 1.0, 0.05)
+        self._place = slider("window at", 0.5, 0.0, 1.0, 0.05)
         self._corners.observe(lambda change: self._type(change["new"]), names="value")
         self._undo.on_click(lambda _: self.undo())
+        self._cut.observe(lambda _: self.quality and self._draw_section(), names="value")
         self._place.observe(lambda change: self._slide(change["new"]), names="value")
         look = {"color": plots.COLOURS["green"], "linewidth": 2}
         self._selector = PolygonSelector(self._map, self._moved, props=look)
@@ -289,10 +305,8 @@ class SelectionTool:
         if text == self._written:
             return
         try:
-            pairs = [
-                [float(part) for part in pair.split(",")] for pair in text.strip("; ").split(";")
-            ]
-            self.select(self._to_space(np.reshape(pairs, (len(pairs), 2))))
+            pairs = [pair.split(",") for pair in text.strip("; ").split(";")]
+            self.select(self._to_space(np.array(pairs, dtype=float)))
         except ValueError:
             wanted = "Must be x, y; x, y; x, y; ... in metres, at least three."
             self.text.value = f"<b>Invalid corners {escape(text)}. {wanted}</b>"
@@ -349,8 +363,8 @@ class SelectionTool:
         if is_headless():
             display(*self._pictures(), HTML(self.text.value))
         else:
-            controls = ipywidgets.HBox(self._controls)
-            display(ipywidgets.VBox([*self._pictures(), controls, self.text]))
+            controls = [self._corners, self._undo, self._cut, self._place]
+            display(ipywidgets.VBox([*self._pictures(), self.text, *controls]))
 
     def _pictures(self):
         """What is shown above the line of text."""
@@ -371,7 +385,21 @@ class SelectionTool:
         self._missed.set_data(self.frame.project(plane.centre + missed @ plane.axes).T)
         if np.isnan(share):
             return f"; {what} does not fit into the polygon"
-        return f"; {100 * share:.1f} % of its places would show {what}, the red ones would not"
+        return f"; {100 * share:.1f} % of its places would show {what}, the orange ones would not"
+
+    @_in_turn()
+    def _draw_section(self):
+        """Mark a strip along the selection, and draw the profile of its points."""
+        inside, share = self.selected(), self._cut.value
+        x, y = self._xy[inside].T
+        ends = np.quantile(y, np.clip([share - STRIP, share + STRIP], 0, 1))
+        self._strip.set(y=ends[0], height=np.ptp(ends))
+        cut, strip = self._panels[2], (y >= ends[0]) & (y <= ends[1])
+        off_mm = 1000 * self.quality.plane.distances(self.points[inside][strip])
+        cut.clear()
+        cut.plot(x[strip], off_mm, ".", ms=2, color=plots.COLOURS["blue"])
+        cut.set(xlabel="along axis 1, in the strip (m)", ylabel="from plane (mm)")
+        self.figure.canvas.draw_idle()
 
     def _to_space(self, xy):
         """Coordinates in space of points in the picture, shape (n, 3), m."""
@@ -391,9 +419,10 @@ class SelectionTool:
         try:
             self.quality = evaluate_cloud(self.points, polygon=self.vertices, **self.choices)
             self.text.value = f"<b>{'<br>'.join([self._summary(), *self.quality.remarks])}</b>"
-            self.quality.draw_histograms(*self._panels)
+            self.quality.draw_histograms(*self._panels[:2])
             off_mm = 1000 * self.quality.plane.distances(self._drawn)
             self._dots.set(array=off_mm, clim=np.multiply([-3, 3], self.quality.sigma_mad_mm))
+            self._draw_section()
         except ValueError as error:
             self.quality, self.text.value = None, f"<b>{error}</b>"
         self.figure.canvas.draw_idle()
@@ -471,7 +500,8 @@ class SurfaceTool(SelectionTool):
         self._scene.canvas.mpl_connect("button_press_event", self._clicked)
         self._clouds = ipywidgets.Dropdown(options=listed, description="cloud", layout=WIDE)
         self._clouds.observe(lambda change: self.choose(change["new"]), names="value")
-        self._list = ipywidgets.VBox(layout={"max_height": "400px", "display": "block"})
+        self._list = ipywidgets.Select(description="plane", rows=LISTED, layout=WIDE)
+        self._list.observe(lambda change: self._listed(change["new"]), names="value")
         self.name, first = None, listed[0]
         self._enter(first, 0)
         super().__init__(self.surface(first), **choices)
@@ -497,8 +527,8 @@ class SurfaceTool(SelectionTool):
         place = np.where(self._owner < 0, -2, self._owner % len(TINTS))
         place[self._owner == plane] = -1
         self._scene_dots.set_facecolor(palette[place])
-        for number, button in enumerate(self._list.children):
-            button.icon = "check" if number == plane else ""
+        shown = [number for _, number in self._list.options]
+        self._list.value = plane if plane in shown else None
         self._scene.axes[0].set_title(f"{self.name}, plane {plane}")
         self._scene.canvas.draw_idle()
 
@@ -519,15 +549,15 @@ class SurfaceTool(SelectionTool):
         ax.locator_params(nbins=5)
         _forget_zoom(self._scene)
         rows = self.planes[self.planes["cloud"] == self.name].head(LISTED)
-        self._list.children = [self._button(row) for row in rows.to_dict("records")]
-
-    def _button(self, row):
-        """A button that chooses a plane."""
+        rows = rows[rows["points"] >= SMALLEST * rows["points"].max()].to_dict("records")
         text = "{plane}: {area_m2:.1f} m², height {height_m:.1f} m, slope {slope_deg:.0f}°"
-        button = ipywidgets.Button(description=text.format(**row), layout=WIDE)
-        button.style.button_color = TINTS[row["plane"] % len(TINTS)]
-        button.on_click(lambda _: self.choose(row["cloud"], row["plane"]))
-        return button
+        self.number = 0
+        self._list.options = [(text.format(**row), row["plane"]) for row in rows]
+
+    def _listed(self, plane):
+        """Choose a plane of the list."""
+        if plane not in (None, self.number):
+            self.choose(self.name, plane)
 
     def _clicked(self, event):
         """Choose the plane of the point nearest to a click; a click that zooms chooses nothing."""
@@ -560,19 +590,6 @@ def _forget_zoom(figure):
     """Let the button home of a canvas return to the present view."""
     if figure.canvas.toolbar is not None:
         figure.canvas.toolbar.update()
-
-
-def _polygon_controls():
-    """A text for the corners, a button that undoes, a slider that moves the window."""
-    told = "Corners of the polygon along the axes of the picture: x, y; x, y; ..."
-    corners = ipywidgets.Text(
-        description="corners (m)", tooltip=told, continuous_update=False, layout={"width": "36em"}
-    )
-    undo = ipywidgets.Button(description="Undo", tooltip="Return to the polygon before")
-    told = "Move the window along the plane, and draw a first polygon in it"
-    looks = {"description": "window", "tooltip": told, "readout": False}
-    place = ipywidgets.FloatSlider(0.5, max=1, step=0.05, continuous_update=False, **looks)
-    return corners, undo, place
 
 
 def _canvas(figure):

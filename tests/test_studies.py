@@ -13,7 +13,11 @@ import guesses
 import nbformat
 import pandas as pd
 import pytest
+from pyproj import CRS
 
+from mmqa_lab import commands
+from mmqa_lab.cloud import Cloud
+from mmqa_lab.io import write_cloud
 from mmqa_lab.run import Run, notebooks, pages, parameter_names, read_record, verdict
 from mmqa_lab.run.students import student_cell
 from mmqa_lab.samples import SAMPLES
@@ -108,11 +112,58 @@ def test_the_tool_runs_on_samples(tmp_path):
     assert set(table["cloud"]) == {"road_patch", "chart_b_5m"}
     given = table.dropna(subset="low")
     assert set(given["figure"]) > {"density", "sigma_MAD"}
-    assert (given["low"] <= given["value"]).all()
-    assert set(table["answer"].dropna()) <= {"met", "not met", "not certain"}
+    assert (given["low"] <= given["value"] * (1 + 1e-9)).all()
+    words = table["answer"].dropna().str.removesuffix(" (it has no interval)")
+    assert set(words) <= {"met", "not met", "not certain"}
+    assert repeated(folder) == pytest.approx(figures_of(folder), rel=1e-6)
     page = (folder / "report.html").read_text()
     for part in (SAMPLES["road_patch"].sha256, record["version"], "sigma_MAD", "data:image/png"):
         assert part in page
+
+
+def figures_of(folder):
+    """The figures of the notebook's selection."""
+    return pd.read_csv(folder / "figures.csv")["value"].tolist()
+
+
+def repeated(folder):
+    """The same figures by the command that the report names."""
+    words = re.search(r"Again: mmqa ([^<]*)", (folder / "report.html").read_text())[1].split()
+    words = [str(folder / word) if word.startswith("selection.") else word for word in words]
+    assert commands.run([*words, "--intervals", "--csv", str(folder / "again.csv")]) == 0
+    return pd.read_csv(folder / "again.csv")["value"].tolist()
+
+
+def test_a_cloud_that_cannot_be_used_is_a_sentence_beside_the_others(
+    tmp_path, rng, monkeypatch, capsys
+):
+    monkeypatch.setenv("MMQA_HEADLESS", "1")
+    monkeypatch.setenv("MMQA_RESULTS", str(tmp_path))
+    wall = rng.uniform(0, 1, (1000, 3)) * [1, 1, 0]
+    clouds = {
+        "feet": Cloud(wall, crs=CRS.from_epsg(2992)),
+        "turned": Cloud(wall / 1e5 + [12, 48, 0], crs=CRS.from_epsg(4326)),
+        "bush": Cloud(rng.normal(0, 1, (300, 3))),
+        "wall": Cloud(wall),
+    }
+    files = [tmp_path / f"{name}.laz" for name in ("feet", "turned", "none", "bush", "wall")]
+    for name, cloud in clouds.items():
+        write_cloud(tmp_path / f"{name}.laz", cloud, scale=1e-7 if name == "turned" else 1e-3)
+    cells = {cell.id: cell.source for cell in nbformat.read(TOOLS[0].path, as_version=4).cells}
+    scope = {}
+    for name in ("own-02", "own-03", "own-04", "own-16", "own-17", "own-06", "own-08"):
+        exec(re.sub(r"(?m)^%.*", "", cells[name]), scope)
+        scope["files"] = tuple(map(str, files))
+    said = capsys.readouterr().out
+    for part in (
+        "'feet' in foot",
+        "'turned' in degree",
+        "none.laz: no such file",
+        "bush: no plane",
+    ):
+        assert said.count(part) == 1
+    assert scope["tool"].name == "wall"
+    assert "(>= 1700 asked)" in said
 
 
 @pytest.fixture

@@ -108,6 +108,32 @@ def test_places_that_would_not_show_a_detail_are_marked(screen):
     assert not len(tool._missed.get_data()[0])
 
 
+def test_a_cross_section_shows_the_strip_that_its_slider_moves(rng, screen):
+    points = rng.uniform(0, 4, (20_000, 3)) * [1, 0.5, 0]
+    points[:, 2] = 0.03 * (np.abs(points[:, 1] - 1) < 0.2)  # a ridge along x
+    square = [[0, 0, 0], [4, 0, 0], [4, 2, 0], [0, 2, 0]]
+    tool = widgets.SelectionTool(points, polygon=square)
+    heights = []
+    for share in (0.2, 0.5):
+        tool._cut.value = share
+        (drawn,) = tool._panels[2].lines
+        assert len(drawn.get_xdata()) == pytest.approx(0.1 * len(points), rel=0.01)
+        assert np.ptp(drawn.get_xdata()) > 3.9
+        heights.append(drawn.get_ydata())
+        across = tool._strip.get_y() + np.array([0, tool._strip.get_height()])
+        assert np.ptp(across) == pytest.approx(0.2, abs=0.02)
+    step = np.median(heights[1]) - np.median(heights[0])
+    assert abs(step) == pytest.approx(30, abs=1)
+
+
+def test_only_planes_that_matter_are_listed(rng, screen):
+    wide = rng.uniform(0, 30, (60_000, 3)) * [1, 1, 0]
+    posts = [rng.uniform(0, 1, (150, 3)) * [1, 0, 1] + [3 * k, 31, 1] for k in range(9)]
+    tool = widgets.SurfaceTool({"street": np.concatenate([wide, *posts])}, size=0.5)
+    assert len(tool.planes) > 5
+    assert [number for _, number in tool._list.options] == [0]
+
+
 def test_a_dragged_corner_changes_everything_that_follows(wall, screen):
     tool, seen = widgets.SelectionTool(wall), []
     tool.follow(lambda tool: seen.append(tool.quality.n))
@@ -141,11 +167,13 @@ def test_a_dragged_corner_changes_everything_that_follows(wall, screen):
 )
 def test_a_polygon_that_selects_nothing_is_a_sentence_and_no_histogram(wall, order, rise_m, part):
     tool = widgets.SelectionTool(wall)
-    assert all(panel.patches for panel in tool._panels)
+    assert all(panel.has_data() for panel in tool._panels)
     tool.select(tool.vertices[order] + [0, 0, rise_m])
     assert tool.quality is None
     assert part in tool.text.value
-    assert not any(panel.patches for panel in tool._panels)
+    assert not any(panel.has_data() for panel in tool._panels)
+    tool._cut.value = 0.1  # a strip of nothing
+    assert not tool._panels[2].has_data()
 
 
 def test_a_picture_is_not_drawn_while_it_changes(wall, screen):
@@ -168,12 +196,12 @@ def test_a_click_in_the_list_chooses_a_plane_of_any_cloud(clouds, screen):
     tool = widgets.SurfaceTool(clouds, size=2)
     assert tool.planes["cloud"].tolist() == ["corner", "corner", "wall"]
     assert tool.planes["slope_deg"].round().tolist() == [0, 90, 90]
-    tool._list.children[1].click()
+    tool._list.value = 1
     assert (tool.name, tool.number) == ("corner", 1)
     assert abs(fit_plane(tool.points).normal[1]) == pytest.approx(1)
     tool._clouds.value = "wall"
     assert tool.name == "wall"
-    assert "slope 90°" in tool._list.children[0].description
+    assert "slope 90°" in tool._list.label
     tool._scene.draw_without_rendering()
     ticks = [text.get_text() for text in tool._scene.axes[0].get_xticklabels()]
     assert min(map(float, ticks)) > 499_000  # easting as it is
@@ -193,7 +221,7 @@ def test_a_click_in_the_picture_chooses_the_plane_there(clouds, screen):
     tool._scene_canvas.toolbar.mode = ""
     MouseEvent("button_press_event", tool._scene_canvas, x, y, button=1)._process()
     assert tool.number == number
-    assert [button.icon for button in tool._list.children] == ["", "check"]
+    assert tool._list.value == number
 
 
 def test_without_a_screen_the_tool_is_two_pictures(clouds):

@@ -108,6 +108,8 @@ def evaluate(
     *,
     polygon: str | None = None,
     rho0: float | None = None,
+    axes: str | None = None,
+    radius: float = 0.5,
     intervals: bool = False,
     detail: float | None = None,
     out: Path | None = None,
@@ -127,8 +129,12 @@ def evaluate(
         The outline of the surface: a CSV or GeoJSON file, or "x,y,z; x,y,z; x,y,z".
     rho0
         The density asked for, points per m2. The table then says whether f matters.
+    axes
+        Axes of the quadrants: principal, horizontal, or the principal ones turned by degrees.
+    radius
+        Largest distance of a neighbour, m.
     intervals
-        Print a row for each figure with its 95 % confidence interval.
+        Print a row for each figure with its 95 % confidence interval, and a doubt where it has one.
     detail
         Size of details, m. Print the share of places that would show one by three points; the
         picture marks the others.
@@ -138,13 +144,15 @@ def evaluate(
     from mmqa_lab import chart_cloud, io
 
     check_ending(out, "figure", FIGURE_ENDINGS)
+    turned = axes and re.fullmatch(r"-?(\d+\.?\d*|\.\d+)", axes)
+    choices = {"axes": float(axes) if turned else axes, "radius": radius, "rho0": rho0}
     done = []
 
     def measured(file):
         cloud = io.read_cloud(file, columns=())
         ring = None if polygon is None else io.read_polygon(polygon, crs=cloud.crs)
-        quality = chart_cloud.evaluate_cloud(cloud, polygon=ring, rho0=rho0)
-        frame = quality.intervals() if intervals else quality.to_frame()
+        quality = chart_cloud.evaluate_cloud(cloud, polygon=ring, **choices)
+        frame = _with_doubts(quality) if intervals else quality.to_frame()
         if detail is not None:
             frame["details_seen"] = quality.details(detail)[0]
         done.append(quality)
@@ -154,6 +162,18 @@ def evaluate(
     if out is not None:
         write_figure(out, lambda: done[-1].plot(detail=detail))
     return frame
+
+
+def _with_doubts(quality):
+    """The figures with their intervals, and which of them are not certain."""
+    from mmqa_lab import tender
+
+    table, said = quality.intervals(), []
+    for row in table.itertuples():
+        name = next((one for one in tender.QUANTITIES if one.startswith(row.figure)), row.figure)
+        known = {"low": row.low, "high": row.high, "remarks": " ".join(quality.remarks)}
+        said.append(tender.verdict(row.value, "<=", float("inf"), quantity=name, **known))
+    return table.assign(doubt=["" if one == "met" else one for one in said])
 
 
 @table
