@@ -344,7 +344,7 @@ class CloudQuality(Shown):
         self.spacing.plot(ax=spacings)
         e95 = {"color": COLOURS["black"], "ls": ":", "label": f"$e_{{95}}$ = {self.e95_mm:.1f} mm"}
         spacings.axvline(self.e95_mm, **e95)
-        spacings.legend(loc="upper left", bbox_to_anchor=(0, 1.42), borderaxespad=0)
+        spacings.legend(loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0)
         half = max(4 * self.sigma_mad_mm, 0.5)
         shown = np.clip(1000 * self.plane.residuals, -half, half)
         residuals.hist(shown, bins=61, color=COLOURS["sky"], histtype="stepfilled")
@@ -356,7 +356,7 @@ class CloudQuality(Shown):
             residuals.axvline(-value, color=COLOURS[colour], ls=dash)
             residuals.axvline(value, color=COLOURS[colour], ls=dash, label=label)
         residuals.set(xlabel="distance from plane (mm)", ylabel="points", xlim=(-half, half))
-        residuals.legend(loc="upper left", bbox_to_anchor=(0, 1.32), borderaxespad=0)
+        residuals.legend(loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0)
 
     def _repr_html_(self):
         return self.intervals().to_html(index=False, float_format="{:.4g}".format)

@@ -54,10 +54,10 @@ MARGINS = {"left": 0.08, "right": 0.98, "bottom": 0.09, "top": 0.9, "wspace": 0.
 
 # Most points drawn, and most planes listed, those with the most points first: of at least this
 # share of the points of the largest. All are used.
-SHOWN, LISTED, SMALLEST = 10_000, 12, 0.01
+SHOWN, LISTED, LISTED_SHARE = 10_000, 12, 0.01
 
 # A cross-section shows this share of the selected points, on either side of its middle.
-STRIP = 0.05
+SECTION = 0.05
 
 # A plane longer than so many times its width is shown through a window of this ratio, of at least
 # so large a share of the plane.
@@ -392,7 +392,7 @@ class SelectionTool:
         """Mark a strip along the selection, and draw the profile of its points."""
         inside, share = self.selected(), self._cut.value
         x, y = self._xy[inside].T
-        ends = np.quantile(y, np.clip([share - STRIP, share + STRIP], 0, 1))
+        ends = np.quantile(y, np.clip([share - SECTION, share + SECTION], 0, 1))
         self._strip.set(y=ends[0], height=np.ptp(ends))
         cut, strip = self._panels[2], (y >= ends[0]) & (y <= ends[1])
         off_mm = 1000 * self.quality.plane.distances(self.points[inside][strip])
@@ -549,7 +549,7 @@ class SurfaceTool(SelectionTool):
         ax.locator_params(nbins=5)
         _forget_zoom(self._scene)
         rows = self.planes[self.planes["cloud"] == self.name].head(LISTED)
-        rows = rows[rows["points"] >= SMALLEST * rows["points"].max()].to_dict("records")
+        rows = rows[rows["points"] >= LISTED_SHARE * rows["points"].max()].to_dict("records")
         text = "{plane}: {area_m2:.1f} m², height {height_m:.1f} m, slope {slope_deg:.0f}°"
         self.number = 0
         self._list.options = [(text.format(**row), row["plane"]) for row in rows]
