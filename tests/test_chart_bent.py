@@ -1,10 +1,13 @@
 """Charts through lenses that bend lines, and on bent boards: measured right, or refused."""
 
+import cv2
 import numpy as np
 import pytest
+import yaml
 from distorted import Lens
 
 from mmqa_lab import chart_image, charts
+from mmqa_lab.commands import surveys
 
 CHART = charts.imaging_chart()
 
@@ -37,9 +40,54 @@ def test_bent_lines_change_neither_pixel_size_nor_widths(name):
     assert found == pytest.approx(places, abs=0.02)
 
 
-def test_lines_bent_too_far_are_refused_by_name():
-    lens = Lens(size=(500, 500), radial=(-0.3, 0.0), pixel_mm=2.0)
-    image = lens.photograph(CHART)
-    given = chart_image.locate(None, CHART, corners=lens.pixels(CHART.corners()))
-    with pytest.raises(ValueError, match="are its lines straight"):
-        chart_image.evaluate_image(image, CHART, given)
+def bent_share(lens):
+    """How far the lens bends the chart's sides, over their length."""
+    share = 0.0
+    for a, b in zip(CHART.corners(), np.roll(CHART.corners(), -1, axis=0), strict=True):
+        first, middle, last = lens.pixels([a, (a + b) / 2, b])
+        way = last - first
+        off = (middle - first) @ [-way[1], way[0]] / (way @ way)
+        share = max(share, abs(off))
+    return share
+
+
+@pytest.mark.parametrize("radial", [(-0.15, 0.0), (0.1, 0.0), (-0.02, 0.0)])
+def test_how_far_lines_are_bent_is_said(radial):
+    lens = Lens(size=(400, 400), radial=radial, pixel_mm=3.2)
+    image = lens.photograph(CHART, seed=1)
+    there = chart_image.locate(np.uint8(255 * image), CHART)
+    quality = chart_image.evaluate_image(image, CHART, there)
+    found = quality.chart_map.bent_share(CHART)
+    assert found == pytest.approx(bent_share(lens), rel=0.03, abs=4e-4)
+    said = f"straight lines are bent by {found:.1%}" in "; ".join(quality.remarks)
+    assert said == (bent_share(lens) > 0.01)
+
+
+STRONG = Lens(size=(440, 440), radial=(-0.4, 0.1), pixel_mm=2.7)
+"""Such a lens moves the corners of the image by a third."""
+
+
+def calibration(lens):
+    """Camera matrix and coefficients of a lens, as OpenCV names them, for its own distances."""
+    focal = 4000 / lens.pixel_mm
+    rate = focal / lens.corner
+    column, row = (np.array(lens.size) - 1) / 2
+    matrix = np.array([[focal, 0, column], [0, focal, row], [0, 0, 1.0]])
+    return matrix, np.array([lens.radial[0] * rate**2, lens.radial[1] * rate**4, 0, 0, 0])
+
+
+def test_lines_bent_too_far_are_refused_by_how_far_and_measured_with_the_lens(tmp_path):
+    image = STRONG.photograph(CHART, seed=1)
+    cv2.imwrite(str(tmp_path / "photo.png"), np.uint8(np.clip(255 * image, 0, 255)))
+    with pytest.raises(ValueError, match=r"straight lines are bent by \d+\.\d%") as refused:
+        chart_image.evaluate_file(tmp_path / "photo.png", CHART, gamma="linear")
+    share = float(str(refused.value).split("bent by ")[1].split("%")[0]) / 100
+    assert share == pytest.approx(bent_share(STRONG), rel=0.25)
+    matrix, distortion = calibration(STRONG)
+    camera = {"camera_matrix": matrix.tolist(), "dist_coeff": [distortion.tolist()]}
+    (tmp_path / "lens.yaml").write_text(yaml.dump(camera))
+    row = surveys.image([tmp_path / "photo.png"], linear=True, camera=tmp_path / "lens.yaml")
+    truth = 1600 / sum(STRONG.length(CHART[name]) for name in ("bar_left", "bar_right"))
+    assert row["pixel_v_mm"].item() == pytest.approx(truth, rel=1e-3)
+    assert row["w_v_mm"].item() <= 3.3 * truth
+    assert "bent" not in row["remark"].item()

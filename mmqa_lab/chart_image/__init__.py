@@ -28,7 +28,14 @@ from numpy.typing import ArrayLike
 
 from mmqa_lab._results import Shown
 from mmqa_lab.chart_image import reading
-from mmqa_lab.chart_image.placing import ChartMap, PanoramaCamera, align, locate
+from mmqa_lab.chart_image.placing import (
+    SAID_BEND,
+    ChartMap,
+    LensCamera,
+    PanoramaCamera,
+    align,
+    locate,
+)
 from mmqa_lab.chart_image.reading import Resolution, Tones, read_pairs, resolution
 from mmqa_lab.chart_image.rules import (
     agreement,
@@ -38,7 +45,7 @@ from mmqa_lab.chart_image.rules import (
     text_crops,
 )
 from mmqa_lab.charts import Layout, decode
-from mmqa_lab.io import read_image
+from mmqa_lab.io import read_camera, read_image
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,6 +53,7 @@ if TYPE_CHECKING:
 __all__ = [
     "ChartMap",
     "ImageQuality",
+    "LensCamera",
     "PanoramaCamera",
     "agreement",
     "chart_site",
@@ -157,7 +165,9 @@ class ImageQuality(Shown):
         # blurred pairs are half white, half black in linear light; a display's curve adds 0.2
         blurred = pairs["contrast"].between(0.02, 0.7) & (pairs["reason"] != reading.HIDDEN)
         tone = pairs.loc[blurred, "mean"].median()
+        bent = 0 if self.chart_map.bend is None else self.chart_map.bent_share(self.layout)
         doubts = [
+            (bent > SAID_BEND, f"straight lines are bent by {bent:.1%}, the map follows them"),
             (charts > 1, f"{charts} charts are seen, the largest is measured"),
             (clipped > 0.05, f"{clipped:.0%} of the plain pixels are clipped"),
             (residual > 1, f"bars end {residual:.1f} px from their places"),
@@ -249,6 +259,7 @@ def evaluate_file(
     *,
     corners: ArrayLike | None = None,
     panorama: bool = False,
+    calibration: str | os.PathLike | None = None,
     gamma: str = "srgb",
 ) -> ImageQuality:
     """Evaluate a chart in an image file.
@@ -261,7 +272,10 @@ def evaluate_file(
         Column and row of the chart's corners from the lower left counterclockwise; without them
         the chart is looked for by its coded targets and long bars.
     panorama : bool
-        The image is a whole equirectangular panorama; in others straight lines stay straight.
+        The image is a whole equirectangular panorama.
+    calibration : path, optional
+        File of a lens that bends lines, see :func:`mmqa_lab.io.read_camera`. Without it lines may
+        be bent by some per cent.
     gamma : {"srgb", "linear"}
 
     Returns
@@ -293,6 +307,14 @@ def evaluate_file(
     if panorama and columns != 2 * rows:
         raise ValueError(f"Invalid panorama of {columns} x {rows} pixels. Must be 2 : 1.")
     camera = PanoramaCamera(columns) if panorama else None
+    if calibration is not None:
+        matrix, distortion, size = read_camera(calibration)
+        if panorama or size not in (None, (columns, rows)):
+            of = "a panorama" if panorama else f"{columns} x {rows} pixels"
+            raise ValueError(
+                f"Invalid camera {calibration} for {of}. Must be of this image's lens."
+            )
+        camera = LensCamera(matrix, distortion)
     chart_map = locate(grey, layout, corners=corners, camera=camera)
     origin, last = _window(chart_map, layout, grey.shape)
     part = grey[origin[1] : last[1], origin[0] : last[0]].astype(np.float32)

@@ -2,7 +2,8 @@
 
 Pixels are (column, row), the centre of the first one at (0, 0). The camera looks along its z axis,
 x to the right, y down. A plane chart maps to rays by one 3 x 3 matrix; the camera bends rays into
-pixels. Without a camera the map is a homography; a panorama is exactly spherical.
+pixels. Without a camera the map is a homography; a panorama is exactly spherical, and a calibrated
+lens bends as it says.
 
 Targets and bars say where a chart may be. Print and photograph, compared without their local light,
 then say where it is.
@@ -25,8 +26,8 @@ from mmqa_lab._checks import check_image, check_points, check_positive
 from mmqa_lab.charts import Bar, Layout, LinePairs, Marker, reflectance
 
 __all__ = [
-    "BLOCKS", "SIGMAS_PX", "Bend", "ChartMap", "PanoramaCamera", "align", "four_corners",
-    "locate",
+    "BLOCKS", "SIGMAS_PX", "Bend", "ChartMap", "LensCamera", "PanoramaCamera", "align",
+    "four_corners", "locate",
 ]  # fmt: skip
 
 ENLARGEMENTS, ENLARGED_PIXELS, SHRUNK_PIXELS = (1, 2, 4), 4e6, 25e6
@@ -63,6 +64,10 @@ CUBIC = [4 * i + j for i in range(4) for j in range(4 - i)]
 
 BEND_GAIN, BEND_PX = 14.0, 0.4
 """How many times more than chance a bend must explain, and how far it must reach, to count."""
+
+UNDISTORT = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 100, 1e-10)
+LARGEST_BEND, SAID_BEND = 0.06, 0.01
+"""How far lines may be bent over their length: at most, and from where on it is said."""
 
 STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 60, 1e-6)
 
@@ -121,6 +126,40 @@ class PanoramaCamera:
 
 
 @dataclass(frozen=True, eq=False)
+class LensCamera:
+    """A calibrated lens that bends lines, by OpenCV's model.
+
+    Parameters
+    ----------
+    matrix : array, shape (3, 3)
+        Focal lengths and principal point, pixels.
+    distortion : array, shape (n,)
+        OpenCV's coefficients; :func:`mmqa_lab.io.read_camera` reads both.
+
+    Examples
+    --------
+    >>> lens = LensCamera(np.array([[900.0, 0, 320], [0, 900, 240], [0, 0, 1]]), np.zeros(4))
+    >>> lens.pixels([[0.1, 0.0, 1.0]]).round(6).tolist()
+    [[410.0, 240.0]]
+    """
+
+    matrix: np.ndarray
+    distortion: np.ndarray
+
+    def pixels(self, rays: ArrayLike) -> np.ndarray:
+        """Return the pixels of rays, shape (n, 2)."""
+        rays, turn = np.array(rays, dtype=float), np.zeros(3)
+        rays *= np.sign(rays[:, 2:])
+        return cv2.projectPoints(rays, turn, turn, self.matrix, self.distortion)[0][:, 0]
+
+    def rays(self, pixels: ArrayLike) -> np.ndarray:
+        """Return the directions of pixels, shape (n, 3)."""
+        pixels = np.array(pixels, dtype=float).reshape(-1, 1, 2)
+        flat = cv2.undistortPoints(pixels, self.matrix, self.distortion, criteria=UNDISTORT)
+        return np.insert(flat[:, 0], 2, 1.0, axis=1)
+
+
+@dataclass(frozen=True, eq=False)
 class Bend:
     """A cubic displacement on a chart: what a lens or a board adds to a homography.
 
@@ -148,7 +187,7 @@ class ChartMap:
     ----------
     matrix : array, shape (3, 3)
         Takes (x, y, 1) in mm on the chart to a ray of the camera.
-    camera : PanoramaCamera, optional
+    camera : PanoramaCamera or LensCamera, optional
         Without one, rays are pixels: column, row, 1 and a common factor.
     offset : (float, float)
         Column and row that count as (0, 0), for a window of an image.
@@ -174,7 +213,7 @@ class ChartMap:
     """
 
     matrix: np.ndarray
-    camera: PanoramaCamera | None = None
+    camera: PanoramaCamera | LensCamera | None = None
     offset: tuple = (0.0, 0.0)
     source: str = "given"
     bend: Bend | None = None
@@ -186,7 +225,7 @@ class ChartMap:
         xy: ArrayLike,
         pixels: ArrayLike,
         *,
-        camera: PanoramaCamera | None = None,
+        camera: PanoramaCamera | LensCamera | None = None,
         offset: tuple[float, float] = (0.0, 0.0),
         source: str = "points",
     ) -> ChartMap:
@@ -256,6 +295,14 @@ class ChartMap:
         sides = begin + step * (np.roll(begin, -1, axis=0) - begin)
         return self.pixels(sides.reshape(-1, 2))
 
+    def bent_share(self, layout: Layout) -> float:
+        """Return how far the chart's sides leave straight lines, over their length."""
+        sides = self.outline(layout.corners()).reshape(4, 8, 2)
+        along = np.roll(sides[:, 0], -1, axis=0) - sides[:, 0]
+        way = np.stack([-along[:, 1], along[:, 0]], axis=1) / (along**2).sum(axis=1)[:, None]
+        off = np.einsum("sij,sj->si", sides - sides[:, :1], way)
+        return float(np.abs(off).max())
+
     def within(self, column: float, row: float) -> ChartMap:
         """Return the map for a window of the image that begins at this column and row."""
         offset = np.asarray(self.offset) + [column, row]
@@ -299,7 +346,7 @@ def locate(
     layout: Layout,
     *,
     corners: ArrayLike | None = None,
-    camera: PanoramaCamera | None = None,
+    camera: PanoramaCamera | LensCamera | None = None,
     offset: tuple[float, float] = (0.0, 0.0),
 ) -> ChartMap:
     """Find a chart by its coded targets and long bars, or at its corners.
@@ -315,8 +362,8 @@ def locate(
     corners : array_like, shape (4, 2), optional
         Column and row of the lower left, lower right, upper right and upper left corner of the
         printed chart.
-    camera : PanoramaCamera, optional
-        What bends rays into pixels, for panoramas.
+    camera : PanoramaCamera or LensCamera, optional
+        What bends rays into pixels: a panorama, or a lens that bends lines.
     offset : (float, float)
         Column and row of the whole image where this window begins.
 
@@ -356,6 +403,8 @@ def locate(
     for times in (shrunk, 1) if shrunk < 1 else (1,):
         found = _decoded(grey, markers, times) if markers else []
         groups = _by_chart(found, markers, layout)
+        if len(dict(found)) == len(found) > 2 and len(groups) > 1:  # a lens moves them apart
+            groups = [found]
         if groups and len(groups[0]) > 2:
             # OpenCV counts from the upper left corner, clockwise
             places = np.concatenate([markers[key].corners()[::-1] for key, _ in groups[0]])
@@ -481,6 +530,12 @@ def align(image, layout, chart_map):
         if alone > CERTAIN * level.correlation(found):
             plain, alone = _aligned(image, layout, plain, bent=False)
             found, correlation = (plain, alone) if alone >= correlation else (found, correlation)
+    bent = found.bent_share(layout) if found.bend is not None else 0.0
+    if bent > LARGEST_BEND:
+        raise ValueError(
+            f"Invalid place of the chart: straight lines are bent by {bent:.1%} of their length. "
+            f"Must be less than {LARGEST_BEND:.0%}, or a camera file must tell how the lens bends."
+        )
     if not correlation >= SMALLEST_CORRELATION:
         raise ValueError(
             f"Invalid place of the chart: its print correlates by {correlation:.2f} with the "

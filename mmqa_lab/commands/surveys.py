@@ -616,6 +616,7 @@ def image(
     printed_mm: float = 800.0,
     corners: str | None = None,
     panorama: bool = False,
+    camera: Path | None = None,
     linear: bool = False,
     out: Path | None = None,
 ):
@@ -638,6 +639,8 @@ def image(
         upper left.
     panorama
         The image is equirectangular, 2 : 1.
+    camera
+        Calibration of a lens that bends lines, as OpenCV writes it: YAML, XML or JSON.
     linear
         Grey values are linear in light.
     out
@@ -649,6 +652,7 @@ def image(
     choices = {
         "corners": None if corners is None else _corners(corners),
         "panorama": panorama,
+        "calibration": camera,
         "gamma": "linear" if linear else "srgb",
     }
     layout, done = charts.imaging_chart(chart).printed(printed_mm), []

@@ -3,9 +3,11 @@
 Files are written whole or not at all. A damaged file gives one sentence. Functions of other rooms
 take arrays; columns, units and coordinate systems of files are checked here. ``files`` is how a
 file is written and read at all, ``clouds`` has clouds and LAS, ``ply`` and ``tables`` the other
-forms of them, ``systems`` coordinate systems, ``polygons`` and ``images`` what their names say.
+forms of them, ``systems`` coordinate systems, ``polygons``, ``images`` and ``cameras`` what
+their names say.
 """
 
+from mmqa_lab.io.cameras import read_camera
 from mmqa_lab.io.clouds import CLOUD_ENDINGS, LAS_ENDINGS, iterate_cloud, read_cloud, write_cloud
 from mmqa_lab.io.files import write_atomically
 from mmqa_lab.io.images import IMAGE_ENDINGS, read_bands, read_heights, read_image
@@ -26,6 +28,7 @@ __all__ = [
     "coordinate_columns",
     "iterate_cloud",
     "read_bands",
+    "read_camera",
     "read_cloud",
     "read_heights",
     "read_image",
