@@ -10,7 +10,7 @@ from mmqa_lab.io.files import plain_text, reading
 
 __all__ = ["read_camera"]
 
-NAMES = {
+OF_CAMERA = {
     "matrix": ("cameramatrix", "intrinsicmatrix", "mtx", "k"),
     "distortion": ("distortioncoefficients", "distcoeffs", "distcoeff", "dist", "d"),
     "width": ("imagewidth", "width"),
@@ -19,10 +19,13 @@ NAMES = {
 }
 """Names of what a calibration has, without capitals, hyphens and underscores."""
 
-TERMS, PLAIN = (4, 5, 8, 12, 14), ("plumbbob", "rationalpolynomial", "brown", "pinhole", "opencv")
+COEFFICIENTS, BROWN = (
+    (4, 5, 8, 12, 14),
+    ("plumbbob", "rationalpolynomial", "brown", "pinhole", "opencv"),
+)
 """Numbers of distortion coefficients; names of OpenCV's model that has them."""
 
-WANTED = "OpenCV's camera_matrix (3 x 3) and distortion_coefficients (k1, k2, p1, p2, k3, ...)"
+CALIBRATION = "OpenCV's camera_matrix (3 x 3) and distortion_coefficients (k1, k2, p1, p2, k3, ...)"
 
 
 def read_camera(
@@ -61,15 +64,15 @@ def read_camera(
     """
     text = plain_text(path).decode()
     known = {}
-    with reading(path, "camera", WANTED):
+    with reading(path, "camera", CALIBRATION):
         found = _of_xml(text) if text.lstrip().startswith("<") else _of_yaml(text)
         for name, value in found.items():
-            known |= {what: value for what, names in NAMES.items() if _short(name) in names}
-    model = _short(known.get("model", PLAIN[0]))
-    if model not in PLAIN:
-        raise ValueError(f"Invalid camera {path}: its lens is {model!r}. Must be {WANTED}.")
+            known |= {what: value for what, names in OF_CAMERA.items() if _short(name) in names}
+    model = _short(known.get("model", BROWN[0]))
+    if model not in BROWN:
+        raise ValueError(f"Invalid camera {path}: its lens is {model!r}. Must be {CALIBRATION}.")
     values = []
-    for what, sizes in (("matrix", (9,)), ("distortion", TERMS)):
+    for what, sizes in (("matrix", (9,)), ("distortion", COEFFICIENTS)):
         value = known.get(what)
         value = value.get("data") if isinstance(value, dict) else value
         try:
@@ -77,7 +80,7 @@ def read_camera(
         except (TypeError, ValueError):
             numbers = np.array([])
         if len(numbers) not in sizes or not np.isfinite(numbers).all():
-            raise ValueError(f"Invalid camera {path}: no usable {what}. Must have {WANTED}.")
+            raise ValueError(f"Invalid camera {path}: no usable {what}. Must have {CALIBRATION}.")
         values.append(numbers)
     matrix = values[0].reshape(3, 3)
     usual = np.diag(np.diag(matrix)) + np.outer([1, 1, 0], [0, 0, 1]) * matrix
