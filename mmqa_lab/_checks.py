@@ -2,6 +2,7 @@
 
 import difflib
 import numbers
+import textwrap
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ __all__ = [
     "check_same_crs",
     "check_upright",
     "check_values",
+    "listed",
 ]
 
 # How files of a kind begin. Of text only that it has no zero byte is known.
@@ -36,6 +38,12 @@ BEGINNINGS = {
     ".laz": (b"LASF",),
     ".csv": (b"",),
 }
+
+# No place is as far from the origin, m.
+FARTHEST_M = 1e15
+
+# Letters of a list of names within a sentence.
+LETTERS_LISTED = 300
 
 
 def check_points(points, *, name="points", columns=3, minimum=1):
@@ -96,6 +104,8 @@ def check_polygon(vertices, *, name="polygon"):
     3
     """
     ring = check_points(vertices, name=name)
+    if np.abs(ring).max() > FARTHEST_M:
+        raise ValueError(f"Invalid {name}: {np.abs(ring).max():.3g} in it. Must be in metres.")
     kept = (ring != np.roll(ring, -1, axis=0)).any(axis=1)
     return check_points(ring[kept], name=name, minimum=3)
 
@@ -230,6 +240,17 @@ def _is_same(path, other):
     return path.resolve() == other.resolve()
 
 
+def listed(names):
+    """Names as part of a sentence; many of them are cut short.
+
+    Examples
+    --------
+    >>> listed(["x", "y"]), len(listed(range(1000))) <= LETTERS_LISTED
+    ('x, y', True)
+    """
+    return textwrap.shorten(", ".join(map(str, names)), LETTERS_LISTED, placeholder=" ...")
+
+
 def check_columns(table, columns, name):
     """Raise where a table lacks a column.
 
@@ -241,7 +262,7 @@ def check_columns(table, columns, name):
     """
     for column in columns:
         if column not in table:
-            beside = f"beside {', '.join(map(str, table))}" if len(table) else "at all"
+            beside = f"beside {there}" if (there := listed(table)) else "at all"
             raise ValueError(f"Invalid {name}: no column {column!r} {beside}. Must have one.")
 
 

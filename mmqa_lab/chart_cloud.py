@@ -87,6 +87,8 @@ class CloudQuality(Shown):
         The axes of the quadrants.
     rho0_per_m2 : float
         Required density; NaN if not given.
+    step_mm : float
+        The step that coordinates were rounded to.
     remarks : tuple of str
         Warnings about the figures, for example on coordinates that are too coarse, coincident
         points or random axes.
@@ -110,6 +112,7 @@ class CloudQuality(Shown):
     sigma_mad_mm: float
     axes: str
     rho0_per_m2: float
+    step_mm: float
     remarks: tuple[str, ...]
     plane: Plane = field(repr=False)
     spacing: Spacing = field(repr=False)
@@ -157,8 +160,8 @@ class CloudQuality(Shown):
 
     @property
     def f(self) -> float:
-        """Inhomogeneity d4 / d1; NaN if d1 or d4 is not measurable."""
-        return self.spacing.f
+        """Inhomogeneity d4 / d1; NaN if not measurable, or if d1 is below the coordinates' step."""
+        return np.nan if is_below_step(self.d1_mm, self.step_mm) else self.spacing.f
 
     @property
     def f_exempt(self) -> bool | None:
@@ -278,6 +281,8 @@ class CloudQuality(Shown):
         spacing = self.spacing.intervals()
         if _by_chance(self.xy, self.axes):
             spacing[["low", "high"]] = np.nan
+        spacing.loc[spacing["figure"] == "f", "value"] = self.f
+        spacing.loc[spacing["value"].isna(), ["low", "high"]] = np.nan
         parts = [spacing, self.directional.intervals().iloc[2:], empty]
         parts = [pd.DataFrame(rows, columns=names), *(part[names] for part in parts)]
         return pd.concat(parts, ignore_index=True)
@@ -480,6 +485,7 @@ def evaluate_cloud(
         sigma_mad_mm=sigma_mad_mm,
         axes=axes if isinstance(axes, str) else f"principal + {float(axes):g} degrees",
         rho0_per_m2=rho0,
+        step_mm=step_mm,
         remarks=tuple(remarks),
         plane=framed,
         spacing=gaps,
@@ -587,6 +593,10 @@ def _remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
             f"Coordinates are in steps of {step_mm:.3g} mm: too coarse for {' and '.join(coarse)}.",
         ),
         (
+            is_below_step(d1_mm, step_mm),
+            "f is not measured: points lie nearer to each other than the steps of coordinates.",
+        ),
+        (
             far.any(),
             f"{far.sum()} points lie far from the others, up to {away.max():.4g} m: they widen the "
             "hull, which lowers its density, and turn the plane.",
@@ -622,6 +632,17 @@ def _remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
             ),
         ),
     )
+
+
+def is_below_step(d1_mm: ArrayLike, step_mm: float) -> np.ndarray:
+    """Return whether a spacing is due to rounding alone: points in a grid of steps lie farther.
+
+    Examples
+    --------
+    >>> is_below_step([0.1, 9.0], 10.0).tolist()
+    [True, False]
+    """
+    return np.multiply(2, d1_mm) < step_mm
 
 
 def _by_chance(xy, axes):

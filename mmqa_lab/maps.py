@@ -31,7 +31,7 @@ from mmqa_lab._checks import (
     check_same_crs,
     check_upright,
 )
-from mmqa_lab.chart_cloud import COARSE_MM, PAIRS
+from mmqa_lab.chart_cloud import COARSE_MM, PAIRS, is_below_step
 from mmqa_lab.cloud import ON_BORDER, cells_of, sort_into_cells, unit_remarks
 from mmqa_lab.io import LAS_ENDINGS, iterate_cloud, write_atomically
 from mmqa_lab.planes import CONSISTENT_SCALE
@@ -211,15 +211,18 @@ def _dataset(table, run):
         whole[rows, columns] = values
         data[name] = (("y", "x"), whole, {"units": unit, "long_name": meaning})
     places = {"y": first[1] + np.arange(len(whole)), "x": first[0] + np.arange(len(whole[0]))}
+    step_mm = 1000 * run["step"]
+    below = is_below_step(data["d1"][1], step_mm)
+    data["f"][1][below] = np.nan
     axes = {name: (name, (place + 0.5) * cell, {"units": "m"}) for name, place in places.items()}
     medians = pd.DataFrame(table[:, 2:], columns=list(FIGURES)).median()
     same = np.nansum(data["coincident"][1]), data["n"][1].sum()
-    remarks = [*run["remarks"], *_remarks(medians, 1000 * run["step"], *same)]
+    remarks = [*run["remarks"], *_remarks(medians, step_mm, int(below.sum()), *same)]
     about = {"cell_m": cell, "radius_m": run["radius"], "remarks": " ".join(remarks)}
     return xr.Dataset(data, coords=axes, attrs=about)
 
 
-def _remarks(medians, step_mm, same, count):
+def _remarks(medians, step_mm, below, same, count):
     """What speaks against the figures of a map."""
     d1, d2, sigma = medians[["d1", "d2", "sigma_mad"]]
     coarse = [f"sigma_MAD {sigma:.3g} mm"] * (step_mm > sigma)
@@ -229,6 +232,7 @@ def _remarks(medians, step_mm, same, count):
     share = f"{same:.0f} points ({100 * same / count:.3g} %) share their place with another"
     remarks = (
         (step_mm > COARSE_MM and coarse, steps),
+        (below, f"f is not measured in {below} cells: points lie nearer than the steps."),
         (d2 > PAIRS * d1, f"{pairs} or from a repeated scan; density and f count both."),
         (same, f"{share}: they raise the density."),
     )

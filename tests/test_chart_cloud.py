@@ -16,6 +16,7 @@ from mmqa_lab.chart_cloud import (
 )
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import read_cloud, write_cloud
+from mmqa_lab.maps import map_cloud
 from mmqa_lab.planes import PAPER_SCALE, fit_plane
 
 CHART = np.array([[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]], dtype=float)
@@ -341,3 +342,23 @@ def test_details_are_missed_between_lines_and_marked_there(rng, tmp_path, capsys
     assert json.loads(capsys.readouterr().out)[0]["details_seen"] == pytest.approx(share, abs=0.01)
     with pytest.raises(ValueError, match=r"Invalid size 0\. Must be > 0 m"):
         quality.details(0)
+
+
+def test_f_is_not_stated_below_the_step_of_coordinates():
+    local = np.random.default_rng(2).random((500, 3)) * [1.2, 1, 0.01]
+    far = np.float32(local + [500_000, 5_400_000, 100]).astype(float)
+    quality = evaluate_cloud(Cloud(far, resolution=0.5))
+    table = quality.intervals().set_index("figure")
+    assert np.isnan(quality.f)
+    assert table.loc["f", ["value", "low", "high"]].isna().all()
+    assert any("f is not measured" in remark for remark in quality.remarks)
+    dataset = map_cloud(Cloud(far, resolution=0.5))
+    assert dataset["f"].isnull().all()
+    assert "f is not measured in" in dataset.attrs["remarks"]
+    assert np.isfinite(evaluate_cloud(Cloud(local, resolution=0.5e-6)).f)
+
+
+def test_three_points_without_neighbours_are_drawn(tmp_path):
+    quality = evaluate_cloud(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]]))
+    quality.plot(detail=0.1).savefig(tmp_path / "f.png")
+    plt.close("all")

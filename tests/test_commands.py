@@ -15,6 +15,7 @@ import pytest
 
 from mmqa_lab import chart_cloud, charts, commands, io, samples, simulate
 from mmqa_lab.__main__ import main
+from mmqa_lab.cloud import Cloud
 from mmqa_lab.commands import machine
 from mmqa_lab.simulate.test_field import drive_test_field, make_test_field
 
@@ -185,6 +186,57 @@ def test_a_file_that_fails_costs_the_others_nothing(line, name, folder, tmp_path
     assert (status, bad.sum()) == (1, 1)
     assert reason[bad].str.startswith("Invalid").all()
     assert rows.loc[~bad].drop(columns=reason.name).notna().any(axis=1).all()
+
+
+MARKED = ["evaluate C", "info C", "pattern C", "accuracy C C", "map C --out m.nc", "evaluate C C"]
+
+
+@pytest.mark.parametrize("line", MARKED)
+def test_what_a_reader_says_of_a_file_is_in_the_table(line, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    x, y = np.mgrid[0:1:0.05, 0:1:0.02].reshape(2, -1)
+    kind = np.where(np.arange(len(x)) < 7, 7, 2)
+    times = np.floor(x / 0.05) * 0.01 + y / 1000
+    cloud = Cloud(np.stack([x, y, 0 * x], axis=1), {"classification": kind, "gps_time": times})
+    io.write_cloud("c.laz", cloud)
+    words = line.replace("C", "c.laz").split()
+    assert commands.run([*words, "--json", "--csv", "rows.csv", "--report", "page.html"]) == 0
+    out, err = capfd.readouterr()
+    said = "Dropped 7 of 1000 points of"
+    assert said in json.loads(out)[0]["remarks"]
+    assert said in pd.read_csv("rows.csv")["remarks"][0]
+    assert said in Path("page.html").read_text()
+    assert said not in err
+
+
+@pytest.mark.parametrize(
+    ("line", "status"),
+    [
+        ("--help", 0), ("evaluate --help", 0), ("evaluate good.xyz", 0), ("info good.xyz", 0),
+        ("evaluate good.xyz bad.xyz", 1), ("info good.xyz bad.xyz", 1), ("pattern bad.xyz", 2),
+        ("info bad.xyz", 2), ("evaluate none.xyz", 2), ("nonsense", 2), ("evaluate", 2),
+        ("map good.xyz bad.xyz --out m.nc", 2), ("lhd good.xyz bad.xyz", 2), ("poles bad.xyz", 2),
+        ("calibrate good.xyz --trajectory bad.xyz", 2), ("chart --out chart.docx", 2),
+        ("student copies none", 2), ("studies none", 2), ("bench none", 2), ("tender a b", 2),
+    ],
+)  # fmt: skip
+def test_the_exit_status_says_what_was_done(line, status, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    np.savetxt("good.xyz", np.random.default_rng(1).random((60, 3)))
+    Path("bad.xyz").write_text("a b c\n")
+    assert main(line.split()) == status
+    assert (status == 2) == (capfd.readouterr().out == "")
+
+
+@pytest.mark.parametrize("name", [b"n\xff\xfe.png", "ä ü.png".encode()])
+def test_names_of_files_may_have_any_bytes(name, tmp_path):
+    path = tmp_path / os.fsdecode(name)
+    path.write_bytes(cv2.imencode(".png", np.full((90, 90), 99, np.uint8))[1].tobytes())
+    words = ["info", os.fsencode(path), "--json", "--csv", "rows.csv", "--report", "page.html"]
+    words = [sys.executable, "-m", "mmqa_lab", *words]  # outside: a decoder may end the process
+    done = subprocess.run(words, capture_output=True, cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert b"90 x 90 pixels" in done.stdout
 
 
 @pytest.mark.parametrize(

@@ -25,6 +25,7 @@ __all__ = [
     "as_json",
     "as_text",
     "check_ending",
+    "heard",
     "progress",
     "run",
     "sentence_of",
@@ -40,6 +41,9 @@ FIGURE_ENDINGS = (".pdf", ".png", ".svg")
 ABOUT = """The quality of mobile mapping point clouds and images.
 
 Evaluate your own data, run studies of published metrics, or open the notebooks.
+
+The exit status is 0 if all is done, 1 if a file, study or test failed, 2 if nothing could be done,
+130 if interrupted.
 """
 
 app = App(
@@ -67,7 +71,15 @@ def table(function):
         check_ending(csv, "file", (".csv",))
         check_ending(report, "file", (".html",))
         check_outputs([one for one in (csv, report, choices.get("out")) if one], inputs)
-        frame = function(*files, **choices)
+        frame, said = heard(function, *files, **choices)
+        if isinstance(frame, Exception) or frame.empty:
+            for sentence in said:
+                _say(function.__name__.rstrip("_"), sentence)
+        elif said:
+            told = [*(frame["remarks"].fillna("") if "remarks" in frame else [""] * len(frame))]
+            frame = frame.assign(remarks=[" ".join([*said, told[0]]).strip(), *told[1:]])
+        if isinstance(frame, Exception):
+            raise frame
         if csv is not None:
             from mmqa_lab.io import write_atomically
 
@@ -90,6 +102,20 @@ def table(function):
     del command.__wrapped__
     app.command(command, name=function.__name__.rstrip("_"))
     return function
+
+
+def heard(function, *arguments, **choices):
+    """What a function returns, or the error that it raises, and the sentences that it warns of."""
+    said = {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", UserWarning)
+        warnings.showwarning = lambda message, *_, **__: said.setdefault(str(message))
+        try:
+            found = function(*arguments, **choices)
+        except Exception as error:
+            found = error
+    return found, [*said]
 
 
 def _inputs(given, out):
@@ -171,7 +197,11 @@ def _say(command, sentence):
 
 def as_json(frame):
     """A table as JSON: a list with an object for each row."""
-    return frame.to_json(orient="records", indent=1, double_precision=15)
+    texts = frame.select_dtypes(["object", "str"])  # of a file's name some bytes may be no letters
+    plain = texts.map(
+        lambda one: one.encode(errors="replace").decode() if isinstance(one, str) else one
+    )
+    return frame.assign(**plain).to_json(orient="records", indent=1, double_precision=15)
 
 
 def as_text(frame):

@@ -15,6 +15,7 @@ from cyclopts import Parameter
 from mmqa_lab.commands.machine import (
     FIGURE_ENDINGS,
     check_ending,
+    heard,
     progress,
     sentence_of,
     table,
@@ -44,21 +45,7 @@ def info(clouds: list[Path], /):
     files = [one for some in inside for one in some if one.is_file() or one in clouds]
     if not files:
         raise ValueError(f"Invalid folder {clouds[0]}: no file in it. Must contain one.")
-    rows, errors = [], []
-    for file in progress(files, "file"):
-        with warnings.catch_warnings(record=True) as said:
-            warnings.simplefilter("always", UserWarning)
-            try:
-                row = _contents(file)
-            except Exception as error:
-                errors, row = [*errors, error], {"remarks": sentence_of(error, file)}
-        remarks = row.pop("remarks", "")
-        for told in dict.fromkeys(str(one.message).removeprefix(f"{file}: ") for one in said):
-            remarks += "" if told in remarks else f" {told}"
-        rows.append({"file": file.name} | row | {"remarks": remarks.strip()})
-    if len(errors) == len(rows):
-        raise errors[0]
-    return pd.DataFrame(rows)
+    return _each(files, "file", lambda file: pd.DataFrame([_contents(file)]))
 
 
 def _each(files, unit, measured, *, column="file", remark="remarks"):
@@ -67,10 +54,13 @@ def _each(files, unit, measured, *, column="file", remark="remarks"):
 
     tables, errors = [], []
     for file in progress(files, unit):
-        try:
-            table = measured(file)
-        except Exception as error:
-            errors, table = [*errors, error], pd.DataFrame([{remark: sentence_of(error, file)}])
+        table, said = heard(measured, file)
+        if isinstance(table, Exception):
+            errors = [*errors, table]
+            table = pd.DataFrame([{remark: sentence_of(table, file)}])
+        own = table[remark].fillna("") if remark in table else [""] * len(table)
+        told = [sentence.removeprefix(f"{file}: ") for sentence in said]
+        table[remark] = [" ".join([*(s for s in told if s not in o), o]).strip() for o in own]
         table.insert(0, column, file.name)
         tables.append(table)
     if len(errors) == len(files):

@@ -14,7 +14,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_choice, check_columns, check_file, check_points
+from mmqa_lab._checks import (
+    FARTHEST_M,
+    check_choice,
+    check_columns,
+    check_file,
+    check_points,
+    listed,
+)
 from mmqa_lab.cloud import Cloud, extent, unit_remarks
 from mmqa_lab.io.files import reading, write_atomically
 from mmqa_lab.io.ply import read_ply
@@ -37,12 +44,13 @@ SCAN_ANGLE_STEP = 0.006
 FLAGS = ("withheld", "classification", "synthetic", "overlap", "return_number", "number_of_returns")
 LONGEST_NAME = 32
 
+FIRST_LAYERED = 6
+
 NOISE = (7, 18)
 OLD_OVERLAP = 12
 
 # Heights that stand for none.
 NO_DATA = (-9999.0, -99999.0, -999999.0, -32767.0, -32768.0)
-FARTHEST_M = 1e15
 
 # As many records at 0, 0, 0 are no points, and a single one where the others lie this far away.
 MOST_ZEROS = 10
@@ -285,13 +293,53 @@ def _check_header(path, header):
         raise ValueError(f"Invalid cloud {path}: {found}. Must be above 0.")
     with Path(path).open("rb") as file:
         (legacy,) = struct.unpack("<107xI", file.read(111))
-    behind = (header.start_of_first_evlr, header.start_of_waveform_data_packet_record)
-    end = min([Path(path).stat().st_size, *filter(None, behind)])  # 0 where there is none
-    held = (end - header.offset_to_point_data) // header.point_format.size
-    more = not header.are_points_compressed and held > header.point_count
-    if more or (header.point_count == 0 and legacy > 0):
-        found = f"{held if more else legacy} points where the header says {header.point_count}"
+    if header.are_points_compressed:
+        with reading(path, "cloud", LAS):
+            held = _laz_points(path, header)
+    else:
+        behind = (header.start_of_first_evlr, header.start_of_waveform_data_packet_record)
+        end = min([Path(path).stat().st_size, *filter(None, behind)])  # 0 where there is none
+        held = (end - header.offset_to_point_data) // header.point_format.size
+        held = max(held, header.point_count)  # where it is cut short is said when it is read
+    held = max(held, legacy if header.point_count == 0 else 0)
+    if held != header.point_count:
+        found = f"{held} points where the header says {header.point_count}"
         raise ValueError(f"Invalid cloud {path}: {found}. Must agree.")
+    if (returns := int(sum(header.number_of_points_by_return))) > held:
+        told = f"its header counts {returns} returns but {held} points: some may be missing"
+        warnings.warn(f"{path}: {told}.", stacklevel=4)
+
+
+def _laz_points(path, header):
+    """How many points the chunks of a LAZ file hold; as the header says if they can be as many.
+
+    The table of chunks stands where the points begin to say, or the last bytes of a file that was
+    written as a stream. A damaged one would ask for any amount of memory. Chunks of formats 6 to 10
+    begin with a point and their number of points (LASzip's ``layered`` chunks).
+    """
+    import lazrs
+
+    vlr = lazrs.LazVlr(header.vlrs.get_by_id("laszip encoded")[0].record_data)
+    with Path(path).open("rb") as file:
+        for place, whence in ((header.offset_to_point_data, 0), (-8, 2)):
+            file.seek(place, whence)
+            (table,) = struct.unpack("<q", file.read(8))
+            if table != -1:
+                break
+        file.seek(table)
+        if struct.unpack("<4xI", file.read(8))[0] > Path(path).stat().st_size:
+            raise ValueError("more chunks than bytes")
+        file.seek(header.offset_to_point_data)
+        chunks = lazrs.read_chunk_table(file, vlr)
+        most = sum(count for count, _ in chunks)
+        if vlr.uses_variable_size_chunks() or not chunks:
+            return most
+        before = most - chunks[-1][0]
+        if header.point_format.id < FIRST_LAYERED:
+            return min(max(header.point_count, before + 1), most)
+        first = header.offset_to_point_data + 8 + sum(length for _, length in chunks[:-1])
+        file.seek(first + header.point_format.size)
+        return before + struct.unpack("<I", file.read(4))[0]
 
 
 def _ply_pieces(path):
@@ -305,8 +353,8 @@ def _text_pieces(path):
     table = text_table(path, "cloud")
     names = coordinate_columns(table.columns)
     if len(names) < 3:
-        listed = ", ".join(map(str, table.columns))
-        raise ValueError(f"Invalid cloud {path} with columns {listed}. Must have x, y, z.")
+        found = f"columns {listed(table.columns)}"
+        raise ValueError(f"Invalid cloud {path} with {found}. Must have x, y, z.")
     points = with_numbers(table, names, f"cloud {path}", finite=False)[names].to_numpy()
     rest = {name: table[name].to_numpy() for name in table.columns.drop(names)}
     yield Piece(points, rest, {}, len(points))

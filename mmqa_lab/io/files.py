@@ -56,9 +56,9 @@ def write_atomically(path: str | os.PathLike, write: Callable | str | pd.DataFra
         raise OSError(f"Invalid file {path}: {error.strerror}. Must be writable.") from error
     try:
         if isinstance(write, pd.DataFrame):
-            write.to_csv(temporary, index=False)
+            write.to_csv(temporary, index=False, errors="replace")
         elif isinstance(write, str):
-            temporary.write_text(write, encoding="utf-8")
+            temporary.write_text(write, encoding="utf-8", errors="replace")
         else:
             write(temporary)
         temporary.replace(path)
@@ -85,7 +85,8 @@ def reading(path, name, wanted):
 def plain_text(path: str | os.PathLike) -> bytes:
     """Return a text file as UTF-8 with line feeds, without a byte order mark.
 
-    UTF-16 and UTF-32 are told by their mark or their zeros; what is no UTF-8 is Windows-1252.
+    UTF-16 and UTF-32 are told by their mark or their zeros; what is no UTF-8 is Windows-1252. A
+    file with zero bytes is no text: ValueError.
 
     Examples
     --------
@@ -100,6 +101,9 @@ def plain_text(path: str | os.PathLike) -> bytes:
     if code != "utf-8":
         raw = raw.decode(code, errors="replace").encode()
     raw = raw.removeprefix(codecs.BOM_UTF8)
+    if (zero := raw.find(b"\0")) >= 0:
+        line = raw.count(b"\n", 0, zero) + 1
+        raise ValueError(f"Invalid file {path}: a zero byte in line {line}. Must be text.")
     return re.sub(rb"\r\n?", b"\n", raw) if b"\r" in raw else raw
 
 

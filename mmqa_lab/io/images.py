@@ -113,7 +113,9 @@ def _tiff(path, name, wanted):
 
     logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # a sentence says what is wrong
     with reading(path, name, wanted):
-        return tifffile.TiffFile(path)
+        file = tifffile.TiffFile(path)
+        file.pages.first  # noqa: B018 - or an error, where there is no page
+        return file
 
 
 def _page(path, page, wanted):
@@ -147,7 +149,7 @@ def _decoded(path, flags):
     # OpenCV prints what it dislikes of a file; the sentence says it
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     with reading(path, "image", IMAGES):
-        pixels = cv2.imread(str(path), flags)
+        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)  # any letters in the path
     if pixels is None:
         raise ValueError(f"Invalid image {path}: no image that can be decoded. Must be {IMAGES}.")
     return pixels
@@ -224,14 +226,16 @@ def _raster_cloud(path):
         keys = {int(one[0]): one[3] for one in _keys(page.tags) if one[1] == 0}
         stored, _ = _page(path, page, RASTERS)
         heights = stored[..., 0].astype(np.float64)
-        heights[stored[..., 0] == _nothing(page.tags.valueof("GDAL_NODATA"), what)] = np.nan
-        masks = [one.asarray() for one in file.pages[1:] if one.subfiletype & MASK]
+        nothing = _number(page.tags.valueof("GDAL_NODATA"), "no-data value", what, np.nan)
+        heights[stored[..., 0] == nothing] = np.nan
+        masks = [_page(path, one, RASTERS)[0] for one in file.pages[1:] if one.subfiletype == MASK]
     if Path(f"{path}.msk").is_file():
         with _tiff(f"{path}.msk", "mask", RASTERS) as file:
-            masks.append(file.asarray())
+            masks.append(_page(f"{path}.msk", file.pages[0], RASTERS)[0])
     for mask in masks:
-        if mask.shape == heights.shape:
-            heights[mask == 0] = np.nan
+        if mask.shape[:2] != heights.shape:
+            raise ValueError(f"Invalid {what}: a mask of other size. Must be as large as heights.")
+        heights[mask[..., 0] == 0] = np.nan
     scale, offset = _scale(page.tags.valueof("GDAL_METADATA", default=""), what)
     crs = _raster_system(keys, what)
     middle = 0.5 if keys.get(1025, 1) == 1 else 0.0
@@ -268,12 +272,12 @@ def _place(tags, what):
     return matrix
 
 
-def _nothing(text, what):
-    """The value that stands for no height; NaN without one."""
+def _number(text, name, what, usual):
+    """A number that a raster states as text; the usual one where there is none."""
     try:
-        return float(text) if text is not None and str(text).strip() else np.nan
+        return float(text) if text is not None and str(text).strip() else usual
     except ValueError:
-        raise ValueError(f"Invalid {what} with no-data value {text!r}. Must be a number.") from None
+        raise ValueError(f"Invalid {what} with {name} {text!r}. Must be a number.") from None
 
 
 def _scale(text, what):
@@ -282,7 +286,8 @@ def _scale(text, what):
     unit = found.get("unittype", "m").strip().lower()
     if unit not in ("", "m", "metre", "meter", "metres", "meters"):
         raise ValueError(f"Invalid {what} with heights in {unit}. Must be in metres.")
-    return float(found.get("scale", 1)), float(found.get("offset", 0))
+    usual = {"scale": 1.0, "offset": 0.0}
+    return tuple(_number(found.get(name), name, what, one) for name, one in usual.items())
 
 
 def _raster_system(keys, what):

@@ -58,7 +58,9 @@ def _header(text, path):
                 elements.append((name, int(count), {}))
             case ["property", kind, name] if elements and kind in TYPES:
                 elements[-1][2][name] = (TYPES[kind],)
-            case ["property", "list", size, kind, name] if elements and {size, kind} <= {*TYPES}:
+            case ["property", "list", size, kind, name] if elements and (
+                {size, kind} <= {*TYPES} and TYPES[size][0] != "f"
+            ):
                 elements[-1][2][name] = (TYPES[size], TYPES[kind])
             case [] | ["comment" | "obj_info", *_]:
                 pass

@@ -84,24 +84,26 @@ def _polygon_of_geojson(path, crs):
     kind = node.get("type") if isinstance(node, dict) else None
     rings = node.get("coordinates") if kind in ("Polygon", "MultiPolygon") else None
     if not isinstance(rings, list):
-        raise ValueError(f"Invalid {what} of type {kind}. Must be {wanted}.")
+        raise ValueError(f"Invalid {what} of type {kind or 'unknown'}. Must be {wanted}.")
     if kind == "MultiPolygon":
         _check_one(rings, "polygons", what)
         rings = rings[0]
     _check_one(rings, "rings, so a hole", what)
-    if not all(isinstance(vertex, list) and len(vertex) >= 3 for vertex in rings[0]):
+    ring = rings[0] if isinstance(rings[0], list) else [rings[0]]
+    if not all(isinstance(vertex, list) and len(vertex) >= 3 for vertex in ring):
         raise ValueError(f"Invalid {what}: vertices without heights. Must be x, y, z.")
     with reading(path, "polygon", "GeoJSON with numbers as vertices"):
-        ring = np.array([vertex[:3] for vertex in rings[0]], dtype=np.float64)
-    vertices = check_polygon(ring, name=what)
+        places = np.array([vertex[:3] for vertex in ring], dtype=np.float64)
+    vertices = check_polygon(places, name=what)
     _check_place(whole.get("crs"), vertices, what, crs)
     return vertices
 
 
 def _check_one(found, of, what):
     """Raise where a list of a GeoJSON file has not one entry."""
-    if len(found) != 1:
-        raise ValueError(f"Invalid {what}: {len(found)} {of}. Must be one polygon of one ring.")
+    count = len(found) if isinstance(found, list) else 0
+    if count != 1:
+        raise ValueError(f"Invalid {what}: {count} {of}. Must be one polygon of one ring.")
 
 
 def _check_place(node, vertices, what, crs):

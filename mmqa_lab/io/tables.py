@@ -11,7 +11,7 @@ from io import BytesIO
 import numpy as np
 import pandas as pd
 
-from mmqa_lab._checks import check_columns, check_file
+from mmqa_lab._checks import check_columns, check_file, listed
 from mmqa_lab.cloud import unit_remarks
 from mmqa_lab.io.files import plain_text
 
@@ -52,6 +52,9 @@ UNNAMED_SIX = ["x", "y", "z", "column_4", "column_5", "column_6"]
 
 # Numbers as large as this are no heights.
 NO_HEIGHT_M = 9999.0
+
+# Squares of numbers as large as this overflow.
+NO_NUMBER = 1e100
 
 # What C and Fortran write for no number, besides what pandas knows.
 NO_NUMBERS = ("nan(ind)", "-nan(ind)", "nan(snan)", "-nan(snan)")
@@ -238,7 +241,7 @@ def with_numbers(
     """Return a table with numbers in these columns; a sentence names the first bad entry."""
     check_columns(table, columns, name)
     found = table[list(columns)].apply(pd.to_numeric, errors="coerce").astype(float)
-    bad = ~np.isfinite(found) if finite else found.isna() & table[list(columns)].notna()
+    bad = ~(found.abs() < NO_NUMBER) if finite else found.isna() & table[list(columns)].notna()
     if bad.any(axis=None):
         row = int(bad.any(axis=1).to_numpy().argmax())
         column = bad.columns[bad.iloc[row].to_numpy().argmax()]
@@ -296,10 +299,10 @@ def read_trajectory(path: str | os.PathLike) -> pd.DataFrame:
             numbers = with_numbers(raw, used[-1:], what, wanted=unit)[plain[key]]
             table[name] = numbers * PATH_UNITS[key[1]]
     if not {*PATH_COLUMNS} <= {*table}:
-        found = f"columns {', '.join(map(str, raw.columns))}"
+        found = f"columns {listed(raw.columns)}"
         raise ValueError(f"Invalid {what} with {found}. Must have {PATH_HEADER}.")
     table = with_numbers(table, table.columns, what)
-    unread = ", ".join(map(str, raw.columns.drop(used)))
+    unread = listed(raw.columns.drop(used))
     absent = [name.partition("_")[0] for name in [*PATH_NAMES][1:] if name not in table]
     if unread and absent:
         warnings.warn(f"No {', '.join(absent)} in {what}: not read are {unread}.", stacklevel=2)

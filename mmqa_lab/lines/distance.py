@@ -16,7 +16,7 @@ from scipy import stats
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from mmqa_lab._checks import check_choice, check_number
+from mmqa_lab._checks import check_choice, check_number, listed
 from mmqa_lab._results import Shown
 from mmqa_lab.lines.displacement import Displacement, fit_displacement, match_displaced
 from mmqa_lab.lines.pairing import (
@@ -438,7 +438,8 @@ def compare(
     sets = {name: check_segments(segments, name) for name, segments in sets.items()}
     numbers = {name: len(np.asarray(segments)) for name, segments in sets.items()}
     if len(sets) < 2 or not all(numbers.values()):
-        raise ValueError(f"Invalid sets {numbers}. Must be two or more sets with segments.")
+        told = listed(f"{name} with {number} segments" for name, number in numbers.items())
+        raise ValueError(f"Invalid sets {told or 'of none'}. Must be two or more with segments.")
     check_choice(reference, "reference", (None, *sets))
     courses = [name for name in sets if name != reference]
     pairs = [*combinations(courses, 2)]

@@ -164,8 +164,8 @@ class Spacing(Shown):
 
         ax = subplots()[1] if ax is None else ax
         nearest, farthest = 1000 * self.distances[:, [0, -1]].T
-        top = np.nanpercentile(farthest, 98) if np.isfinite(farthest).any() else np.nanmax(nearest)
-        bins = np.linspace(0, 1.1 * top, 56)
+        known = [some for one in (farthest, nearest) if len(some := one[np.isfinite(one)])]
+        bins = np.linspace(0, 1.1 * np.percentile(known[0], 98) if known else 1, 56)
         for values, name, middle, colour in (
             (nearest, "$d_1$", 1000 * self.d[0], "blue"),
             (farthest, "$d_4$", 1000 * self.d[-1], "orange"),
