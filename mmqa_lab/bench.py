@@ -351,18 +351,18 @@ def _labels(values):
     return np.array([getattr(value, "__name__", None) or str(value) for value in values])
 
 
-def unit_ending(name):
+def unit_ending(name: str) -> str:
     """Return the ending of a name that denotes a unit, or an empty text."""
     return max((ending for ending in UNITS if name.endswith(ending)), key=len, default="")
 
 
-def split_unit(name):
+def split_unit(name: str) -> tuple[str, str]:
     """Return a name without the ending of its unit, and the unit, or an empty text."""
     ending = unit_ending(name)
     return (name.removesuffix(ending), UNITS[ending]) if ending else (name, "")
 
 
-def heading(name):
+def heading(name: str) -> str:
     """Return a name in words with its unit in brackets, for a column or an axis."""
     plain, unit = split_unit(name)
     return plain.replace("_", " ") + (f" ({unit})" if unit else "")

@@ -524,7 +524,7 @@ def open_map(folder: str | os.PathLike) -> xr.Dataset:
     return placed(whole, run["crs"]) if run["crs"] else whole
 
 
-def placed(dataset, crs):
+def placed(dataset: xr.Dataset, crs: Any) -> xr.Dataset:
     """Return a map with its coordinate reference system, as the CF conventions write it."""
     import pyproj
 

@@ -476,7 +476,7 @@ def _fwhm(places, lsf):
     return right - left
 
 
-def spread_edge(distance, sigma, angle):
+def spread_edge(distance: ArrayLike, sigma: float, angle: float) -> np.ndarray:
     """Return what a pixel sees of a step from 0 to 1, closed form.
 
     Parameters

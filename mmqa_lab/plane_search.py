@@ -157,7 +157,7 @@ def detect_planes(
     return _parts(points, owner, clear, tolerance, minimum)
 
 
-def usual_size(points):
+def usual_size(points: np.ndarray) -> float:
     """Extent of the smallest plane that points (n, 3) support, m."""
     if not len(points):
         return USUAL_SIZES[1]
@@ -224,13 +224,13 @@ class Grid:
         half = csr_array((np.ones(pairs.shape[1], dtype=bool), pairs.astype(np.int32)), (n, n))
         self.near = csr_array(half + half.T + eye_array(n, dtype=bool))
 
-    def rows(self, cells):
+    def rows(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Rows of the points in some cells, and the index at which each cell begins."""
         first = np.cumsum(self.size[cells]) - self.size[cells]
         total = self.size[cells].sum()
         return np.repeat(self.start[cells] - first, self.size[cells]) + np.arange(total), first
 
-    def around(self, cells):
+    def around(self, cells: np.ndarray) -> np.ndarray:
         """The given cells and all cells that touch one of them."""
         bounds, places = self.near.indptr, self.near.indices
         first, number = bounds[cells], bounds[cells + 1] - bounds[cells]

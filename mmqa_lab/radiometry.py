@@ -314,7 +314,7 @@ def fit_sensor(
     )
 
 
-def coarse_pairs(image, reference):
+def coarse_pairs(image: ArrayLike, reference: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     """Return DN and radiance of two images of the same ground, one band each, as flat arrays.
 
     Pixels are averaged to those of the reference, then both pass a median of 3 x 3 (EuroSDR 2013,
@@ -584,7 +584,7 @@ def ndvi(
     return (n - r) / total, 2 * errors / total**2
 
 
-def saturation_level(dn):
+def saturation_level(dn: np.ndarray) -> float:
     """Return the digital number on which saturated pixels pile up, infinity where none does.
 
     The largest number of 8, 10, 12, 14 or 16 bits is that of saturation, if only a pixel has it.
@@ -645,7 +645,7 @@ def fit_walthall(reflectance: ArrayLike, view_zenith: ArrayLike, azimuth: ArrayL
     return WalthallFit(np.linalg.lstsq(terms, seen, rcond=None)[0])
 
 
-def walthall_terms(view_zenith, azimuth):
+def walthall_terms(view_zenith: ArrayLike, azimuth: ArrayLike) -> np.ndarray:
     """Return v^2, v cos(a) and 1 with v and a in radians, shape (..., 3)."""
     v, a = np.radians(np.asarray(np.broadcast_arrays(view_zenith, azimuth), dtype=np.float64))
     return np.stack([v**2, v * np.cos(a), np.ones_like(v)], axis=-1)

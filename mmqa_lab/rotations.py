@@ -1,11 +1,14 @@
 """Rotations of a vehicle, of scanners and of targets, and directions across an axis."""
 
+from __future__ import annotations
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 __all__ = ["across", "rotations", "turned"]
 
 
-def rotations(roll, pitch, heading):
+def rotations(roll: ArrayLike, pitch: ArrayLike, heading: ArrayLike) -> np.ndarray:
     """Rotations (..., 3, 3) from vehicle to track, Rz(-heading) Rx(pitch) Ry(roll), radians.
 
     Examples
@@ -23,7 +26,7 @@ def rotations(roll, pitch, heading):
     return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
-def turned(*, z=0.0, x=0.0, y=0.0):
+def turned(*, z: ArrayLike = 0.0, x: ArrayLike = 0.0, y: ArrayLike = 0.0) -> np.ndarray:
     """Rotations (..., 3, 3) Rz(z) Rx(x) Ry(y), degrees, counter-clockwise positive.
 
     Examples
@@ -34,7 +37,7 @@ def turned(*, z=0.0, x=0.0, y=0.0):
     return rotations(np.radians(y), np.radians(x), -np.radians(z))
 
 
-def across(axes):
+def across(axes: np.ndarray) -> np.ndarray:
     """Two perpendicular unit vectors across each of n unit vectors (n, 3), shape (n, 2, 3).
 
     Examples

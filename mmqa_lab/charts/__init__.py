@@ -616,7 +616,7 @@ def reflectance(layout: Layout, *, cell: float, colour: bool = False) -> np.ndar
     return _painted(layout, (rows, columns), cell, LUMINANCE)
 
 
-def encode(values, gamma):
+def encode(values: np.ndarray, gamma: str) -> np.ndarray:
     """Return values 0..1 of linear light as the file's: unchanged, or by the curve of sRGB.
 
     References
@@ -635,7 +635,7 @@ def encode(values, gamma):
     return np.where(values <= KNEE, 12.92 * values, curve).astype(values.dtype)
 
 
-def decode(values, gamma):
+def decode(values: np.ndarray, gamma: str) -> np.ndarray:
     """Return a file's values 0..1 as linear light, the inverse of :func:`encode`.
 
     Examples

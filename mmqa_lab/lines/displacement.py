@@ -71,7 +71,7 @@ class Displacement(Shown):
         """Number of pairs."""
         return int(self.pairs.sum())
 
-    def at(self, places):
+    def at(self, places: np.ndarray) -> np.ndarray:
         """Displacement (m, 3) at places (m, 3) relative to the middle of the model lines, m."""
         return self.vector + np.radians(self.turn_deg) * levers(places - self.centre)
 

@@ -78,16 +78,16 @@ class Directed:
     coverage: float
 
     @property
-    def n(self):
+    def n(self) -> int:
         """Number of pairs."""
         return len(self.share)
 
-    def olhd(self, weight):
+    def olhd(self, weight: float) -> float:
         """Mean distance d(W) of the pairs weighted by length, m; NaN without pairs (equation 7)."""
         return float(self.share @ self.parts.distance(weight)) if self.n else np.nan
 
     @property
-    def perpendicular_only(self):
+    def perpendicular_only(self) -> float:
         """Mean perpendicular distance of the pairs weighted by length, m; NaN without pairs."""
         return float(self.share @ self.parts.perpendicular) if self.n else np.nan
 
@@ -140,8 +140,8 @@ class LHD(Shown):
     @property
     def perpendicular_only(self) -> float:
         """The larger directed mean of the perpendicular distances alone, m."""
-        sides = self.test_model, self.model_test
-        return float(np.fmax(*(side.perpendicular_only for side in sides)))
+        there, back = self.test_model, self.model_test
+        return float(np.fmax(there.perpendicular_only, back.perpendicular_only))
 
     @property
     def _larger(self):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -166,7 +167,7 @@ def correspond(
     distances = np.asarray(distances, dtype=np.float64)
     near = distances <= delta
     if matcher == "fragments":
-        test, model = from_common_origin(test, model)
+        test, model = from_common_origin(np.asarray(test), np.asarray(model))
         return apart(Pairs(test, model, *np.nonzero(near)), distances[near])
     if matcher == "all" or not near.any():
         return near
@@ -182,7 +183,7 @@ def correspond(
     return nearest & (distances.argmin(axis=0) == np.arange(len(near))[:, None])
 
 
-def apart(lines, costs):
+def apart(lines: Pairs, costs: np.ndarray) -> np.ndarray:
     """Accept pairs in the order of finite costs if their stretches do not overlap; bool (p, q)."""
     pairs, taken = np.zeros(lines.shape, dtype=bool), defaultdict(list)
     for k in np.argsort(costs, kind="stable")[: np.isfinite(costs).sum()]:
@@ -271,7 +272,7 @@ def pairing_scores(pairs: ArrayLike, truth: ArrayLike) -> PairingScores:
     return PairingScores(tp, fp, fn, tn, *rates.tolist())
 
 
-def check_pairs(pairs, shape):
+def check_pairs(pairs: ArrayLike, shape: tuple[int, int]) -> np.ndarray:
     """Return Boolean pairs of a given shape (p, q) as an array."""
     pairs = np.asarray(pairs)
     if pairs.dtype != bool or pairs.shape != shape:
@@ -317,16 +318,16 @@ class Pairs:
         self.offset = np.einsum("nkd,nd->nk", self.frame, apart)
         self.overlap = (high - low) / (2 * np.minimum(*self.half))
 
-    def again(self, moved):
+    def again(self, moved: Any) -> Pairs:
         """The same pairs, with their common stretches after another displacement."""
         return Pairs(self.test, self.model, self.rows, self.columns, moved)
 
-    def design(self, centre):
+    def design(self, centre: np.ndarray) -> np.ndarray:
         """Design matrix (n, 2, 4) of offsets for a vector and a rotation about a vertical axis."""
         turned = np.einsum("nkd,nd->nk", self.frame, levers(self.place - centre))
         return np.concatenate([self.frame, turned[..., None]], axis=2)
 
 
-def levers(arm):
+def levers(arm: np.ndarray) -> np.ndarray:
     """Movement of places (m, 3) per radian of rotation about a vertical axis."""
     return np.stack([-arm[:, 1], arm[:, 0], np.zeros(len(arm))], axis=1)

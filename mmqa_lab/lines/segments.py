@@ -79,7 +79,7 @@ def midpoints(segments: ArrayLike) -> np.ndarray:
     return segments[:, 0] + (segments[:, 1] - segments[:, 0]) / 2
 
 
-def from_common_origin(test, model):
+def from_common_origin(test: ArrayLike, model: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     """Both sets, checked and shifted to a common origin, exact to 1e-9 m."""
     test, model = check_segments(test, "test"), check_segments(model, "model")
     origin = np.concatenate([model, test])[:1, 0]

@@ -411,7 +411,7 @@ def scan_lattice(setup: ScanSetup, patch: Patch | Target) -> Lattice:
         )
 
 
-def lattice_distances(a, b):
+def lattice_distances(a: ArrayLike, b: ArrayLike) -> tuple[np.ndarray, ...]:
     """Return d1 = d2 and d3 = d4 of an infinite lattice: nearest points of its quadrants.
 
     The quadrants are half open, each without the axis on its counter-clockwise side. The basis is

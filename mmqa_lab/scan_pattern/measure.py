@@ -348,7 +348,7 @@ def _pulses(time, numbers, used):
     return since / pulse_period(since, np.unique(numbers[used], return_inverse=True)[1])
 
 
-def pulse_period(time, group):
+def pulse_period(time: np.ndarray, group: np.ndarray) -> float:
     """Return the time from pulse to pulse, seconds, from the times of the points of profiles.
 
     Shapes of time and group are (n,). NaN if the clock is coarser than the pulses, so that points
@@ -372,7 +372,9 @@ def pulse_period(time, group):
     return float(period)
 
 
-def solve_groups(terms, values, group):
+def solve_groups(
+    terms: np.ndarray, values: np.ndarray, group: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Least squares of values (n,) on shared terms (n, k) and a constant per group (n,).
 
     A term without spread (distances from a plane without noise) gets the coefficient 0.
@@ -388,7 +390,7 @@ def solve_groups(terms, values, group):
     return found, level - means @ found, target - about @ found
 
 
-def group_means(values, group):
+def group_means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
     """Means over groups of values (n,) or of rows (n, k): shape (m,) or (m, k)."""
     if values.ndim == 2:
         return np.stack([group_means(column, group) for column in values.T], axis=1)
@@ -424,7 +426,7 @@ def revolutions_from_time(time: ArrayLike) -> np.ndarray:
     return _numbered(since, mirror_frequency(since))
 
 
-def mirror_frequency(time):
+def mirror_frequency(time: ArrayLike) -> float:
     """Return the revolutions per second from the times (n,) of the points, in seconds.
 
     Candidate periods are the times between the beginnings of runs of points. The chosen period

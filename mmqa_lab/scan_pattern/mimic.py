@@ -6,9 +6,12 @@ choices that the equations require. In these equations the scan plane stands sti
 turns; in ``scan_lattice`` it moves. Angles are in degrees.
 """
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_values
 from mmqa_lab.rotations import turned
@@ -22,7 +25,7 @@ __all__ = [
 LEVEL = np.sin(np.radians(0.1))
 
 
-def scanner_normal(alpha_scan, gamma_scan):
+def scanner_normal(alpha_scan: ArrayLike, gamma_scan: ArrayLike) -> np.ndarray:
     """Equation 1 for the scan plane: its normal, Y before rotation, (..., 3).
 
     The equation is read with row vectors, tilt before heading. This reading reproduces Table 3.
@@ -44,7 +47,7 @@ def scanner_normal(alpha_scan, gamma_scan):
     return turned(z=alpha_scan, x=gamma_scan)[..., :, 1]
 
 
-def target_normal(alpha_targ, beta_targ):
+def target_normal(alpha_targ: ArrayLike, beta_targ: ArrayLike) -> np.ndarray:
     """Equation 1 for the target plane: its normal, X before rotation, (..., 3).
 
     Parameters
@@ -65,7 +68,9 @@ def target_normal(alpha_targ, beta_targ):
     return turned(z=alpha_targ, y=beta_targ)[..., :, 0]
 
 
-def profile_spacing_horizontal(d, alpha_scan, alpha_targ):
+def profile_spacing_horizontal(
+    d: float, alpha_scan: float, alpha_targ: float
+) -> float | np.ndarray:
     """Equations 2 and 3: profile spacing along the target's horizontal line.
 
     Law of sines in the plan view: d sin(theta_3) / sin(theta_4) for a target turned away
@@ -106,7 +111,9 @@ def profile_spacing_horizontal(d, alpha_scan, alpha_targ):
     return d * np.sin(theta_23) / np.sin(theta_45)
 
 
-def profile_angle(alpha_scan, gamma_scan, alpha_targ, beta_targ):
+def profile_angle(
+    alpha_scan: ArrayLike, gamma_scan: ArrayLike, alpha_targ: ArrayLike, beta_targ: ArrayLike
+) -> float | np.ndarray:
     """Angle theta_PrA between the profiles and the target's horizontal line, 0 to 90 degrees.
 
     The paper leaves the formula to its reference 34. Here tan = |n_s.h| / |n_s.v|, with h the
@@ -134,7 +141,7 @@ def profile_angle(alpha_scan, gamma_scan, alpha_targ, beta_targ):
     return np.degrees(np.arctan2(along, up))
 
 
-def profile_spacing_vertical(d_prsh, theta_pra):
+def profile_spacing_vertical(d_prsh: ArrayLike, theta_pra: ArrayLike) -> float | np.ndarray:
     """Equation 4: spacing along the line of greatest slope, d_PrSH tan(theta_PrA), metres.
 
     Parameters
@@ -158,10 +165,10 @@ def profile_spacing_vertical(d_prsh, theta_pra):
     >>> round(float(profile_spacing_vertical(0.1, 45)), 6)
     0.1
     """
-    return d_prsh * np.tan(np.radians(theta_pra))
+    return np.multiply(d_prsh, np.tan(np.radians(theta_pra)))
 
 
-def pulse_angle(pulse_rate_hz, mirror_frequency_hz):
+def pulse_angle(pulse_rate_hz: ArrayLike, mirror_frequency_hz: ArrayLike) -> float | np.ndarray:
     """Equation 5: theta_A, the field of view divided by the number of its pulses (PpM), degrees.
 
     PpM is not printed. It is PRR / Mf for 360 degrees and proportionally less for a smaller field
@@ -212,7 +219,16 @@ class PointSpacing(NamedTuple):
     d_ps: float
 
 
-def point_spacing(scanner, target, *, h_r, height_difference, theta_a, literal=False, upwards=True):
+def point_spacing(
+    scanner: tuple[float, float],
+    target: tuple[float, float],
+    *,
+    h_r: float,
+    height_difference: float,
+    theta_a: float,
+    literal: bool = False,
+    upwards: bool = True,
+) -> PointSpacing:
     """Equations 5 to 10: the spacing of points along a profile of a scan plane at rest.
 
     Parameters

@@ -12,6 +12,8 @@
     photo.image, photo.chart_map                     # grey values and the truth of every element
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 
 import cv2
@@ -19,7 +21,7 @@ import numpy as np
 
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
 from mmqa_lab.chart_image.placing import ChartMap, PanoramaCamera
-from mmqa_lab.charts import encode, reflectance
+from mmqa_lab.charts import Layout, encode, reflectance
 
 __all__ = ["ChartMap", "Optics", "PanoramaCamera", "Photo", "Sensor", "chart_view", "photograph"]
 
@@ -101,7 +103,15 @@ class Photo:
     origin: tuple
 
 
-def chart_view(camera, *, distance, layout, heading_deg=0.0, roll_deg=0.0, aim_deg=0.0):
+def chart_view(
+    camera: PanoramaCamera,
+    *,
+    distance: float,
+    layout: Layout,
+    heading_deg: float = 0.0,
+    roll_deg: float = 0.0,
+    aim_deg: float = 0.0,
+) -> ChartMap:
     """Return the map of a chart for a camera of the test configuration.
 
     The chart stands upright; its middle is the target. The camera is at ``distance`` on the line
@@ -152,7 +162,15 @@ def _turned(place, roll, aim):
     return aside @ np.stack([right, np.cross(view, right), view])
 
 
-def photograph(layout, chart_map, *, optics=Optics(), sensor=Sensor(), margin=12, seed=0):
+def photograph(
+    layout: Layout,
+    chart_map: ChartMap,
+    *,
+    optics: Optics = Optics(),
+    sensor: Sensor = Sensor(),
+    margin: int = 12,
+    seed: int = 0,
+) -> Photo:
     """Photograph a chart.
 
     Each pixel averages 6 x 6 samples of the printed tones after point spread and motion; the motion

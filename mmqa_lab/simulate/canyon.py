@@ -6,6 +6,8 @@ error, turned, cut short, split and mixed with clutter. Which segments belong to
 and so is every displacement. ``canyon_cloud`` covers the faces of the houses with points.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 from itertools import chain, pairwise
 
@@ -81,7 +83,7 @@ class Positioning:
     drift: np.ndarray
     yaw: float
 
-    def at(self, points, street):
+    def at(self, points: np.ndarray, street: np.ndarray) -> np.ndarray:
         """Displacement of points (n, 3) of the given streets (n,), shape (n, 3), m."""
         points, street = np.asarray(points, dtype=np.float64), np.asarray(street)
         station = _station(points, street) / DRIFT_STEP_M
@@ -138,7 +140,7 @@ class Canyon:
     street: np.ndarray
     surveys: dict = field(repr=False)
 
-    def pairs(self, test, model):
+    def pairs(self, test: str, model: str) -> np.ndarray:
         """True pairs of two surveys, bool (p, q).
 
         Pieces of one edge are a pair when they share more than 20 % of the shorter one.
@@ -151,14 +153,16 @@ class Canyon:
         least = np.minimum(size[0][:, None], size[1][None])
         return same & (high - low > 0.2 * least)
 
-    def displacements(self, test, model):
+    def displacements(self, test: str, model: str) -> np.ndarray:
         """Displacement of each true pair, test from model, shape (pairs, 3), m, in row order."""
         rows, columns = np.nonzero(self.pairs(test, model))
         test, model = self.surveys[test], self.surveys[model]
         return test.displacement[rows] - model.displacement[columns]
 
 
-def canyon(seed, *, displacement_m=None, angle_noise_deg=0.08):
+def canyon(
+    seed: int, *, displacement_m: float | None = None, angle_noise_deg: float = 0.08
+) -> Canyon:
     """Simulate the canyon and its four surveys.
 
     A scene is 130 m x 120 m with facades 9-22 m wide and 12-21 m high along streets of 14, 9 and
@@ -218,7 +222,7 @@ def canyon(seed, *, displacement_m=None, angle_noise_deg=0.08):
     return Canyon(buildings, ends, street, surveys)
 
 
-def canyon_faces(scene):
+def canyon_faces(scene: Canyon) -> tuple[np.ndarray, np.ndarray]:
     """The plane faces of a canyon: fronts, pavements, eaves, and walls between houses.
 
     Parameters
@@ -242,7 +246,7 @@ def canyon_faces(scene):
     return _located(streets, np.array(places)), streets
 
 
-def canyon_edges(scene):
+def canyon_edges(scene: Canyon) -> np.ndarray:
     """The edges where two faces of the canyon meet: feet, eaves and corners of the facades.
 
     Returns
@@ -256,7 +260,9 @@ def canyon_edges(scene):
     return _located(streets, lines.reshape(-1, 2, 3))
 
 
-def canyon_cloud(scene, survey, *, density, noise=0.01, seed=0):
+def canyon_cloud(
+    scene: Canyon, survey: str, *, density: float, noise: float = 0.01, seed: int = 0
+) -> Cloud:
     """Cover the canyon with points as one survey places them.
 
     Parameters

@@ -5,10 +5,13 @@ direction and stretched across it by the same factor, turned, moved by chance an
 its density stays, and the *ratio* across / along is known.
 """
 
+from __future__ import annotations
+
 from functools import partial
 from math import comb
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from mmqa_lab._checks import check_choice, check_number, check_positive
@@ -27,8 +30,17 @@ HOLE_RADIUS, HOLE_SHARE = 4.0, 0.2
 
 
 def point_pattern(
-    kind, *, density, size, seed, ratio=1.0, angle=0.0, noise=0.0, rounding=0.0, jitter=0.1
-):
+    kind: str,
+    *,
+    density: float,
+    size: float,
+    seed: int,
+    ratio: float = 1.0,
+    angle: float = 0.0,
+    noise: float = 0.0,
+    rounding: float = 0.0,
+    jitter: float = 0.1,
+) -> np.ndarray:
     """Return a point pattern in a square window.
 
     Parameters
@@ -104,7 +116,7 @@ def point_pattern(
     return rounding * np.round(xy / rounding) if rounding else xy
 
 
-def true_ratio(kind, ratio):
+def true_ratio(kind: str, ratio: float) -> float:
     """Return the ratio across / along that a measure of anisotropy should find.
 
     Random patterns have the same law however they are stretched, with a gradient or holes too, and
@@ -120,7 +132,7 @@ def true_ratio(kind, ratio):
     return 1.0 if kind in ("poisson", "gradient", "holes", "two_heads") else ratio
 
 
-def expected_f(kind, ratio):
+def expected_f(kind: str, ratio: float) -> float:
     """Return f = d4/d1 in closed form, without edges and noise, for axes turned off the lines.
 
     With the unit along the line and the line spacing ``a``, d1 is 1 and d4 the larger of the
@@ -148,7 +160,7 @@ def expected_f(kind, ratio):
     return forms.get(kind, np.nan)
 
 
-def aligned_lines_f():
+def aligned_lines_f() -> float:
     """Return f of scan lines along an axis, with the least noise across: 5, at any line spacing.
 
     The neighbours along the line then lie above or below by chance, and fill the quadrants above
@@ -172,7 +184,7 @@ def aligned_lines_f():
     return k
 
 
-def thin(points, least, *, period=None):
+def thin(points: ArrayLike, least: float, *, period: ArrayLike | None = None) -> np.ndarray:
     """Say which points remain if no two of them may be nearer than a least distance.
 
     A point is removed if an earlier point that remains is nearer. Programs that thin clouds in
@@ -211,7 +223,9 @@ def thin(points, least, *, period=None):
     return keep
 
 
-def hard_core_points(size, density, hard_core, rng):
+def hard_core_points(
+    size: np.ndarray, density: float, hard_core: float, rng: np.random.Generator
+) -> np.ndarray:
     """Return points of a Matern hard-core process of the second kind, (n, 2).
 
     Poisson points get random ages; those with an older one within the core go. The Poisson density

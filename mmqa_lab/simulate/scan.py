@@ -6,6 +6,9 @@ et al. 2014, doi 10.3390/s140609471). A scanner spins about its own y, so that h
 the vertical plane across the track. A scanner that spins about the vertical is the same, turned up.
 """
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -14,6 +17,8 @@ import numpy as np
 from mmqa_lab._checks import check_number, check_points, check_positive
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.rotations import across, rotations
+from mmqa_lab.simulate.scenes import Scene
+from mmqa_lab.simulate.trajectories import Trajectory
 
 __all__ = ["RING", "Scanner", "scan"]
 
@@ -114,21 +119,21 @@ class Scanner:
             check_points([getattr(self, name)], name=name)
 
     @property
-    def mounting(self):
+    def mounting(self) -> np.ndarray:
         """Assumed rotation (3, 3) from the scanner's frame to the vehicle's."""
         return rotations(0.0, *np.radians([self.tilt_deg + 90 * self.upright, -self.heading_deg]))
 
     @property
-    def true_mounting(self):
+    def true_mounting(self) -> np.ndarray:
         """Rotation with the boresight error, (3, 3)."""
         return rotations(*np.radians(self.boresight_deg)) @ self.mounting
 
     @property
-    def plane_normal(self):
+    def plane_normal(self) -> np.ndarray:
         """Axis of rotation, the normal of the scan plane, in the vehicle's frame, (3,)."""
         return self.mounting[:, 1]
 
-    def fire(self, pulse):
+    def fire(self, pulse: np.ndarray) -> dict[str, np.ndarray]:
         """Return ``pulse``, ``scan_angle``, ``scan_line`` and ``ring`` of the pulses that leave.
 
         Pulses are counted from the start, a scan line is one beam's revolution, and ``ring`` counts
@@ -145,20 +150,28 @@ class Scanner:
         return {"pulse": pulse[left], "scan_angle": angle[left], "scan_line": line, "ring": ring}
 
     @staticmethod
-    def beams(angle, elevation):
+    def beams(angle: np.ndarray, elevation: np.ndarray) -> np.ndarray:
         """Unit vectors in the scanner's frame, (n, 3), of angles in radians."""
         level = np.cos(elevation)
         aside, down = level * np.sin(angle), level * np.cos(angle)
         return np.stack([aside, np.sin(elevation) + 0 * aside, -down], axis=1)
 
     @staticmethod
-    def angles(vectors):
+    def angles(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Scan angle and elevation above the scan plane, degrees, of vectors, (..., 3)."""
         x, y, z = np.moveaxis(vectors, -1, 0)
         return np.degrees(np.arctan2(x, -z)), np.degrees(np.arctan2(y, np.hypot(x, z)))
 
 
-def scan(scene, scanner, trajectory, *, seed, measured=None, between=None):
+def scan(
+    scene: Scene,
+    scanner: Scanner | list[Scanner],
+    trajectory: Trajectory,
+    *,
+    seed: int | Sequence[int],
+    measured: Trajectory | None = None,
+    between: tuple[float, float] | None = None,
+) -> Cloud:
     """Return the point cloud of a drive.
 
     Every pulse is cast from the true trajectory and the true mounting; its point is computed from

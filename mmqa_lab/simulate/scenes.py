@@ -5,10 +5,13 @@ every hit solves the primitive's own equation: no mesh, no marching. Shafts are 
 ray's point closest to their centre, so that a post of 3 cm at 100 m keeps its digits.
 """
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_points
 from mmqa_lab._compiled import in_threads
@@ -88,7 +91,7 @@ class Scene:
         self._surface = np.append(ids[order], np.int32(-1))
         self._reflectance = np.append(whole.reflectance[order], np.nan)
 
-    def cast(self, origins, directions):
+    def cast(self, origins: ArrayLike, directions: ArrayLike) -> Hits:
         """Return the ``Hits`` of rays.
 
         Parameters
@@ -111,7 +114,7 @@ class Scene:
         local = np.broadcast_to(check_points(np.atleast_2d(origins)) - self.origin, unit.shape)
         return Hits(*(values[:, 0] for values in self.cast_beams(local[:, None], unit[:, None])))
 
-    def cast_beams(self, origins, directions):
+    def cast_beams(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
         """Return the ``Hits`` (n, k) of n beams of k rays that stay close together, (n, k, 3).
 
         Starts count from the scene's origin, directions have the length 1.

@@ -5,18 +5,24 @@ which of its poles a cloud shows. The vehicle drives along +y at x = 0. What var
 random generator in a fixed order, so that two streets that differ in one setting share all else.
 """
 
+from __future__ import annotations
+
 import zlib
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice, check_positive
 from mmqa_lab._data import read_toml
-from mmqa_lab.simulate.scan import scan
+from mmqa_lab.cloud import Cloud
+from mmqa_lab.simulate.scan import Scanner, scan
 from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.surfaces import (
+    Surface,
     board,
     box,
     cylinder,
@@ -28,7 +34,7 @@ from mmqa_lab.simulate.surfaces import (
     wall,
 )
 from mmqa_lab.simulate.systems import PRESETS
-from mmqa_lab.simulate.trajectories import straight
+from mmqa_lab.simulate.trajectories import Trajectory, straight
 
 __all__ = [
     "PLANS", "SCANNERS", "Plan", "Street", "crown", "drive", "pedestrian", "shaft", "street",
@@ -117,16 +123,16 @@ class Street:
     length_m: float
 
     @property
-    def labels(self):
+    def labels(self) -> np.ndarray:
         """Label of every surface of the scene, array of str."""
         return np.array([surface.label for surface in self.scene.surfaces])
 
-    def trajectory(self, speed=30 / 3.6):
+    def trajectory(self, speed: float = 30 / 3.6) -> Trajectory:
         """Return the drive through the whole street at a speed in m/s."""
         return straight(self.length_m, speed)
 
 
-def street(plan, *, length, seed):
+def street(plan: Plan | str, *, length: float, seed: int) -> Street:
     """Return a street built at random.
 
     Parameters
@@ -153,12 +159,15 @@ def street(plan, *, length, seed):
         rows.append(truth | {"surface": len(things)})
         things += parts
     things += _clutter(plan, length, seed)
-    for number, block in enumerate(blocks):
-        things += _building(_stream(seed, f"building {number}"), *block, plan)
+    for number, (side, setback, start, size) in enumerate(blocks):
+        rng = _stream(seed, f"building {number}")
+        things += _building(rng, side, setback, start, size, plan)
     return Street(Scene(things), pd.DataFrame(rows), length)
 
 
-def drive(made, scanner, *, seed, speed=30 / 3.6, **options):
+def drive(
+    made: Street, scanner: Scanner | str, *, seed: int, speed: float = 30 / 3.6, **options: Any
+) -> Cloud:
     """Return the cloud of one drive through a street.
 
     Parameters
@@ -182,7 +191,14 @@ def drive(made, scanner, *, seed, speed=30 / 3.6, **options):
     return scan(made.scene, scanner, made.trajectory(speed), seed=seed, **options)
 
 
-def visible_targets(made, cloud, *, minimum_points=10, minimum_sweeps=5, minimum_span=1.0):
+def visible_targets(
+    made: Street,
+    cloud: Cloud,
+    *,
+    minimum_points: int = 10,
+    minimum_sweeps: int = 5,
+    minimum_span: float = 1.0,
+) -> pd.DataFrame:
     """Return the targets with what a cloud shows of them.
 
     Parameters
@@ -281,7 +297,15 @@ def _inside(at, block):
     return side * at[0] > setback - 0.8 and start - 0.8 < at[1] < start + size + 0.8
 
 
-def shaft(rng, at, kind, radius, top_radius, height, lean_deg=1.0):
+def shaft(
+    rng: np.random.Generator,
+    at: np.ndarray,
+    kind: str,
+    radius: float,
+    top_radius: float,
+    height: float,
+    lean_deg: float = 1.0,
+) -> tuple[Surface, dict]:
     """Surface of a tapered shaft that leans at random, and its truth; sizes in metres."""
     lean = np.tan(np.radians(rng.normal(0, lean_deg, 2)))
     way = height * np.array([*lean, 1.0])
@@ -355,9 +379,11 @@ def _other(rng, at, *_):
     return [post], truth
 
 
-def crown(centre, radii, density, seed, label="crown"):
+def crown(
+    centre: ArrayLike, radii: ArrayLike, density: float, seed: int, label: str = "crown"
+) -> Surface:
     """Foliage in which a ray meets 0.8 leaves on a metre of its way, times the density."""
-    volume = 4 / 3 * np.pi * np.prod(radii)
+    volume = 4 / 3 * np.pi * np.prod(np.asarray(radii))
     n = max(int(volume * density * 0.8 * 2 / (np.pi * LEAF_RADIUS_M**2)), 1)
     return foliage(centre, radii, leaves=n, leaf_radius=LEAF_RADIUS_M, seed=seed, label=label)
 
@@ -399,7 +425,7 @@ def _car(rng, at):
     return group([body, cabin], label="car")
 
 
-def pedestrian(rng, at):
+def pedestrian(rng: np.random.Generator, at: np.ndarray) -> Surface:
     """A person: a body that widens upwards, and a head."""
     height, width = rng.uniform([1.55, 0.18], [1.9, 0.25])
     neck, top = at + [0, 0, height - 0.28], at + [0, 0, height]

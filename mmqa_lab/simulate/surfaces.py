@@ -4,9 +4,13 @@ A surface is one thing with one id; it may consist of many primitives (a box of 
 of a thousand leaves). ``Scene`` puts surfaces side by side and casts rays. Lengths are metres.
 """
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_count, check_number, check_points, check_positive
 from mmqa_lab.rotations import across
@@ -54,7 +58,7 @@ class Surface:
         return len(self.kind)
 
 
-def group(surfaces, *, label):
+def group(surfaces: Sequence[Surface], *, label: str) -> Surface:
     """Return one surface, with one id, of several.
 
     Parameters
@@ -77,7 +81,14 @@ def group(surfaces, *, label):
     return Surface(label, *(np.concatenate([getattr(s, name) for s in surfaces]) for name in names))
 
 
-def rectangle(corner, along, up, *, label="wall", reflectance=0.5):
+def rectangle(
+    corner: ArrayLike,
+    along: ArrayLike,
+    up: ArrayLike,
+    *,
+    label: str = "wall",
+    reflectance: float = 0.5,
+) -> Surface:
     """Return a rectangle or parallelogram from a corner and the two sides that leave it.
 
     Parameters
@@ -108,7 +119,12 @@ def rectangle(corner, along, up, *, label="wall", reflectance=0.5):
     return _surface(label, RECTANGLE, centre, _planar_shape(u, v), half, reflectance)
 
 
-def ground(height=0.0, *, centre=(0.0, 0.0), size=(2000.0, 2000.0)):
+def ground(
+    height: float = 0.0,
+    *,
+    centre: tuple[float, float] = (0.0, 0.0),
+    size: tuple[float, float] = (2000.0, 2000.0),
+) -> Surface:
     """Return a level rectangle called ``"ground"``, of reflectance 0.2.
 
     Parameters
@@ -134,7 +150,15 @@ def ground(height=0.0, *, centre=(0.0, 0.0), size=(2000.0, 2000.0)):
     return rectangle(low, (a, 0, 0), (0, b, 0), label="ground", reflectance=0.2)
 
 
-def board(centre, width, height, *, heading=0.0, label="board", reflectance=0.8):
+def board(
+    centre: ArrayLike,
+    width: float,
+    height: float,
+    *,
+    heading: float = 0.0,
+    label: str = "board",
+    reflectance: float = 0.8,
+) -> Surface:
     """Return a rectangular board that faces ``heading``.
 
     Parameters
@@ -163,7 +187,7 @@ def board(centre, width, height, *, heading=0.0, label="board", reflectance=0.8)
     return rectangle(*sides, label=label, reflectance=reflectance)
 
 
-def disc(centre, normal, radius):
+def disc(centre: ArrayLike, normal: ArrayLike, radius: float) -> Surface:
     """Return a flat disc from its centre, its normal (of any length) and its radius in metres.
 
     Returns
@@ -180,7 +204,16 @@ def disc(centre, normal, radius):
     return _discs("board", centre, _vector(normal, "normal")[None], radius, 0.5)
 
 
-def cylinder(base, top, radius, *, top_radius=None, capped=True, label="post", reflectance=0.5):
+def cylinder(
+    base: ArrayLike,
+    top: ArrayLike,
+    radius: float,
+    *,
+    top_radius: float | None = None,
+    capped: bool = True,
+    label: str = "post",
+    reflectance: float = 0.5,
+) -> Surface:
     """Return a round post, lamp or trunk, upright or tilted, tapering where ``top_radius`` says so.
 
     Parameters
@@ -222,7 +255,14 @@ def cylinder(base, top, radius, *, top_radius=None, capped=True, label="post", r
     return _surface(label, SHAFT, (base + top) / 2, shape, half, reflectance)
 
 
-def box(base, size, *, heading=0.0, label="car", reflectance=0.4):
+def box(
+    base: ArrayLike,
+    size: ArrayLike,
+    *,
+    heading: float = 0.0,
+    label: str = "car",
+    reflectance: float = 0.4,
+) -> Surface:
     """Return a box from the middle of its bottom.
 
     Parameters
@@ -248,7 +288,7 @@ def box(base, size, *, heading=0.0, label="car", reflectance=0.4):
     8.0
     """
     base = _vector(base, "base")
-    width, length, height = size
+    width, length, height = np.asarray(size, dtype=np.float64)
     h = np.radians(heading)
     a = width * np.array([np.cos(h), -np.sin(h), 0])
     b = length * np.array([np.sin(h), np.cos(h), 0])
@@ -258,7 +298,15 @@ def box(base, size, *, heading=0.0, label="car", reflectance=0.4):
     return group([rectangle(*face, reflectance=reflectance) for face in faces], label=label)
 
 
-def foliage(centre, radii, *, leaves, leaf_radius, seed, label="crown"):
+def foliage(
+    centre: ArrayLike,
+    radii: ArrayLike,
+    *,
+    leaves: int,
+    leaf_radius: float,
+    seed: int,
+    label: str = "crown",
+) -> Surface:
     """Return a crown or shrub: flat round leaves, at random in an ellipsoid, turned at random.
 
     Parameters
@@ -293,7 +341,15 @@ def foliage(centre, radii, *, leaves, leaf_radius, seed, label="crown"):
     return _discs(label, np.asarray(centre) + ball * radii, normals, leaf_radius, 0.4)
 
 
-def wall(corner, along, height, *, openings=(), reveal=0.2, label="wall"):
+def wall(
+    corner: ArrayLike,
+    along: ArrayLike,
+    height: float,
+    *,
+    openings: Sequence[tuple[float, float, float, float]] = (),
+    reveal: float = 0.2,
+    label: str = "wall",
+) -> list[Surface]:
     """Return a wall with openings, their reveals and the panes behind them.
 
     Parameters
@@ -357,7 +413,7 @@ def wall(corner, along, height, *, openings=(), reveal=0.2, label="wall"):
     return [group(part, label=name) for name, part in parts.items() if part]
 
 
-def chart_corners(centre, *, heading):
+def chart_corners(centre: ArrayLike, *, heading: float) -> np.ndarray:
     """Return the corners of a chart of 1 m, from the lower left around, as one looks at its front.
 
     Parameters

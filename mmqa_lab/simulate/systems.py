@@ -7,10 +7,13 @@ parallel to the path, at 5 m and at 10 m: A (Z+F Profiler 9012), B (Velodyne HDL
 matching).
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial import cKDTree
 
@@ -21,7 +24,7 @@ from mmqa_lab.simulate.point_patterns import hard_core_points
 from mmqa_lab.simulate.scan import Scanner, scan
 from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.surfaces import board, chart_corners
-from mmqa_lab.simulate.trajectories import NavigationErrors, straight
+from mmqa_lab.simulate.trajectories import NavigationErrors, Trajectory, straight
 
 __all__ = [
     "FACING_THE_ROAD", "PRESETS", "REACH", "SPEED", "SYSTEM_A", "SYSTEM_B", "SYSTEM_C",
@@ -105,12 +108,12 @@ class System:
     source: str = ""
 
     @property
-    def assumed_lever_arms(self):
+    def assumed_lever_arms(self) -> np.ndarray:
         """Lever arms that the evaluation uses, (heads, 3)."""
         true = np.array([head.lever_arm_m for head in self.heads], dtype=np.float64)
         return true + (np.array(self.lever_arm_error_m) if self.lever_arm_error_m else 0.0)
 
-    def delivered(self, cloud, *, share=1.0):
+    def delivered(self, cloud: Cloud, *, share: float = 1.0) -> Cloud:
         """Return what is left of a cloud when dark points, then isolated ones, are removed.
 
         Parameters
@@ -174,7 +177,7 @@ SYSTEMS = _systems(_TABLES)
 others."""
 
 
-def system(name):
+def system(name: str) -> System:
     """Return a mobile mapping system by its name.
 
     Parameters
@@ -224,7 +227,9 @@ how, is not. Density, hard core and noise are fitted to Table 2, whose density d
 the distance: it takes more than two points per pixel at 10 m, so several pairs, and resampling."""
 
 
-def pass_chart(sensor, distance, *, seed, height=0.0):
+def pass_chart(
+    sensor: Scanner | MatchingCamera, distance: float, *, seed: int, height: float = 0.0
+) -> Cloud:
     """Return the points of a chart that a sensor drives past.
 
     Parameters
@@ -260,7 +265,9 @@ def pass_chart(sensor, distance, *, seed, height=0.0):
     return drive_past(Scene([chart]), sensor, path, corners, seed=[seed])
 
 
-def drive_past(scene, scanner, path, corners, *, seed):
+def drive_past(
+    scene: Scene, scanner: Scanner, path: Trajectory, corners: ArrayLike, *, seed: list[int]
+) -> Cloud:
     """Return the points of a part of a scene; only beams that may reach it are fired.
 
     Parameters

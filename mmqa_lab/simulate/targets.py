@@ -11,10 +11,13 @@ height of the sun, the exposure and the haze at that moment. It falls off to the
 sensor's noise.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.ndimage import gaussian_filter
 from scipy.optimize import brentq
@@ -62,21 +65,21 @@ class PointSpread:
         check_positive(self.sigma_px, "sigma_px", unit="px")
         check_choice(self.lens, "lens", tuple(LENS_TRANSFERS))
 
-    def mtf(self, fx, fy):
+    def mtf(self, fx: ArrayLike, fy: ArrayLike) -> np.ndarray:
         """Transfer function of lens and pixel at frequencies in cycles per pixel."""
         optics = LENS_TRANSFERS[self.lens](np.hypot(fx, fy) * self.sigma_px)
-        return optics * np.sinc(fx) * np.sinc(fy)
+        return optics * np.sinc(np.asarray(fx)) * np.sinc(np.asarray(fy))
 
-    def mtf_mean(self, f):
+    def mtf_mean(self, f: ArrayLike) -> np.ndarray:
         """Transfer function averaged over all directions."""
         return np.abs(lens_mtf(LENS_TRANSFERS[self.lens], self.sigma_px, f))
 
-    def mtf50(self, angle_deg):
+    def mtf50(self, angle_deg: float) -> float:
         """Frequency at which the contrast across an edge is halved."""
         c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
         return float(brentq(lambda f: self.mtf(f * c, f * s) - 0.5, 0, 0.7))
 
-    def fwhm(self, angle_deg):
+    def fwhm(self, angle_deg: float) -> float:
         """Full width at half maximum (px) of the line spread function across an edge."""
         c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
         f = np.linspace(0, 8, 4001)
@@ -89,7 +92,14 @@ class PointSpread:
         return float(2 * brentq(above_half, 0, 6 * self.sigma_px + 2))
 
 
-def render_edge(shape, spread, *, angle_deg=5.0, position_px=0.0, **levels):
+def render_edge(
+    shape: tuple[int, int],
+    spread: PointSpread,
+    *,
+    angle_deg: float = 5.0,
+    position_px: float = 0.0,
+    **levels: float,
+) -> np.ndarray:
     """Return an image of one straight edge.
 
     Parameters
@@ -109,8 +119,16 @@ def render_edge(shape, spread, *, angle_deg=5.0, position_px=0.0, **levels):
 
 
 def render_star(
-    shape, spread, *, cycles=36, radius_px, centre=(0.0, 0.0), tilt_deg=0.0, half=False, **levels
-):
+    shape: tuple[int, int],
+    spread: PointSpread,
+    *,
+    cycles: int = 36,
+    radius_px: float,
+    centre: tuple[float, float] = (0.0, 0.0),
+    tilt_deg: float = 0.0,
+    half: bool = False,
+    **levels: float,
+) -> np.ndarray:
     """Return an image of a Siemens star on a dark ground.
 
     Parameters
@@ -148,7 +166,16 @@ def render_star(
     return _render(shape, spread, distance, **levels)
 
 
-def render_bars(shape, spread, *, period_px, bars=4, angle_deg=0.0, offset_px=0.0, **levels):
+def render_bars(
+    shape: tuple[int, int],
+    spread: PointSpread,
+    *,
+    period_px: float,
+    bars: int = 4,
+    angle_deg: float = 0.0,
+    offset_px: float = 0.0,
+    **levels: float,
+) -> np.ndarray:
     """Return an image of bright line bars on a dark ground, as long as five of their widths.
 
     Parameters
@@ -181,7 +208,7 @@ def render_bars(shape, spread, *, period_px, bars=4, angle_deg=0.0, offset_px=0.
     return _render(shape, spread, distance, **levels)
 
 
-def texture(shape, *, seed):
+def texture(shape: tuple[int, int], *, seed: int) -> np.ndarray:
     """Return a random scene with as much detail as natural ones have, values 0 to 1.
 
     Its amplitude spectrum falls off with the frequency, about as in photographs of natural scenes.
@@ -195,7 +222,7 @@ def texture(shape, *, seed):
     return np.clip(0.5 + 0.15 * scene / scene.std(), 0, 1)
 
 
-def blur_over_image(scene, sigma):
+def blur_over_image(scene: np.ndarray, sigma: np.ndarray) -> np.ndarray:
     """Return a scene blurred by a Gaussian whose width changes over the image.
 
     Parameters
@@ -217,7 +244,9 @@ def blur_over_image(scene, sigma):
     return (1 - share) * stack[lower, rows, columns] + share * stack[lower + 1, rows, columns]
 
 
-def expose(light, *, gain, offset=0.0, bits=12, seed):
+def expose(
+    light: ArrayLike, *, gain: float, offset: float = 0.0, bits: int = 12, seed: int
+) -> np.ndarray:
     """Return the digital numbers that a linear sensor with shot and read noise would record.
 
     Parameters
@@ -272,7 +301,13 @@ class Atmosphere:
     diffuse: float
     spherical_albedo: float
 
-    def radiance(self, reflectance, *, surroundings=0.15, seed=None):
+    def radiance(
+        self,
+        reflectance: ArrayLike,
+        *,
+        surroundings: float | np.ndarray = 0.15,
+        seed: int | None = None,
+    ) -> np.ndarray:
         """Radiance at the camera over targets of a reflectance in surroundings of another.
 
         Without a seed the path radiance is the same everywhere.
@@ -364,7 +399,7 @@ class ImageBlock:
     flight: Flight
 
 
-def fly_block(flight=Flight(), *, seed):
+def fly_block(flight: Flight = Flight(), *, seed: int) -> ImageBlock:
     """Return what a simulated block of images shows of tie points on flat ground.
 
     Parameters

@@ -6,16 +6,21 @@ directions. Heights are known up to 35 m from the left path, targets in plan up 
 place of everything is known; the reference gets the errors of a survey.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_number, check_positive
+from mmqa_lab.cloud import Cloud
 from mmqa_lab.simulate.scan import scan
 from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.surfaces import box, cylinder, rectangle
-from mmqa_lab.simulate.trajectories import measured, straight
+from mmqa_lab.simulate.systems import System
+from mmqa_lab.simulate.trajectories import Trajectory, measured, straight
 
 __all__ = [
     "FIELD_SPEED",
@@ -70,11 +75,11 @@ class SimulatedField:
     plan_std_m: float
 
     @property
-    def poles(self):
+    def poles(self) -> pd.DataFrame:
         """The targets that are poles."""
         return self.targets[self.targets["kind"] == "pole"]
 
-    def height(self, xy):
+    def height(self, xy: ArrayLike) -> np.ndarray:
         """True height of the ground at places in plan (n, 2), NaN next to curbs and in houses."""
         x, y = (np.asarray(xy, dtype=np.float64) - self.origin[:2]).T
         height = np.full(len(x), np.nan)
@@ -88,7 +93,7 @@ class SimulatedField:
         height[near_bay & (np.abs(aside - ROAD_HALF_M + 1) < 1.5)] = np.nan
         return height + self.origin[2]
 
-    def ground(self, *, spacing_m=1.0, seed):
+    def ground(self, *, spacing_m: float = 1.0, seed: int) -> np.ndarray:
         """Return surveyed ground points on a grid, (n, 3)."""
         step = check_positive(spacing_m, "spacing_m", unit="m")
         left, right = -LANE_M - REFERENCE_REACH_M, ROAD_HALF_M + PAVEMENT_M
@@ -100,7 +105,7 @@ class SimulatedField:
         points[:, 2] += rng.normal(0, self.reference_std_m, len(points))
         return points
 
-    def drives(self):
+    def drives(self) -> list[Trajectory]:
         """Return the true paths 2.2 m above the road, to the north on the right lane, and back."""
         x, y, z = self.origin + [0, 0, 2.2]
         there = straight(self.length_m, FIELD_SPEED, start=(x + LANE_M, y, z))
@@ -109,7 +114,13 @@ class SimulatedField:
         return [there, back]
 
 
-def make_test_field(*, length_m=120.0, reference_std_m=REFERENCE_STD_M, plan_std_m=None, seed=1):
+def make_test_field(
+    *,
+    length_m: float = 120.0,
+    reference_std_m: float = REFERENCE_STD_M,
+    plan_std_m: float | None = None,
+    seed: int = 1,
+) -> SimulatedField:
     """Return a street with everything that is measured on the test field.
 
     Parameters
@@ -161,7 +172,9 @@ def make_test_field(*, length_m=120.0, reference_std_m=REFERENCE_STD_M, plan_std
     return SimulatedField(scene, origin, length, targets, survey, plan)
 
 
-def drive_test_field(street, system, *, seed, pulses_per_s=np.inf):
+def drive_test_field(
+    street: SimulatedField, system: System, *, seed: int, pulses_per_s: float = np.inf
+) -> list[tuple[Cloud, Trajectory]]:
     """Return what a system delivers of both drives.
 
     Parameters
@@ -185,14 +198,15 @@ def drive_test_field(street, system, *, seed, pulses_per_s=np.inf):
     for number, path in enumerate(street.drives()):
         known = measured(path, system.navigation, seed=[seed, number])
         cloud = scan(street.scene, heads, path, seed=seed + number, measured=known)
-        cloud.columns.setdefault("head", np.zeros(len(cloud), np.uint8))
+        columns = dict(cloud.columns)
+        columns.setdefault("head", np.zeros(len(cloud), np.uint8))
+        columns["drive"] = np.full(len(cloud), number, np.uint8)
+        cloud = replace(cloud, columns=columns)
         if system.lever_arm_error_m:
             error = np.array(system.lever_arm_error_m)[cloud["head"]]
             turned = np.einsum("nij,nj->ni", known.at(cloud["gps_time"])[1], error)
             cloud = replace(cloud, points=cloud.points + turned)
-        cloud = system.delivered(cloud, share=share)
-        cloud.columns["drive"] = np.full(len(cloud), number, np.uint8)
-        drives.append((cloud, known))
+        drives.append((system.delivered(cloud, share=share), known))
     return drives
 
 

@@ -5,11 +5,15 @@ Vehicle frame: x to the right, y in the direction of travel, z up. Attitude: hea
 vehicle to world is Rz(-heading) Rx(pitch) Ry(roll).
 """
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_number, check_points, check_positive
@@ -81,7 +85,7 @@ class Trajectory:
             )
 
     @classmethod
-    def from_table(cls, table):
+    def from_table(cls, table: pd.DataFrame) -> Trajectory:
         """Return the trajectory of a table as ``io.read_trajectory`` reads it.
 
         Parameters
@@ -100,12 +104,12 @@ class Trajectory:
         return cls(table["time_s"], position, heading=heading, **known)
 
     @property
-    def duration_s(self):
+    def duration_s(self) -> float:
         """Seconds from the first row to the last."""
         return float(self.time[-1] - self.time[0])
 
     @property
-    def origin(self):
+    def origin(self) -> np.ndarray:
         """The position of the first row, from which the spline counts."""
         return self.position[0]
 
@@ -118,7 +122,7 @@ class Trajectory:
         values = np.hstack([self.position - self.origin, angles.T])
         return CubicSpline(self.time - self.time[0], values)
 
-    def states(self, since_start):
+    def states(self, since_start: np.ndarray) -> np.ndarray:
         """Return offsets from ``origin`` in metres and roll, pitch, heading in radians, (n, 6).
 
         Parameters
@@ -128,7 +132,7 @@ class Trajectory:
         """
         return self._spline(since_start)
 
-    def at(self, time):
+    def at(self, time: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Return positions (n, 3) and vehicle-to-world rotations (n, 3, 3) at times in seconds.
 
         Raises
@@ -173,8 +177,15 @@ class NavigationErrors:
 
 
 def straight(
-    length, speed, *, start=(0.0, 0.0, 0.0), heading=0.0, roll=0.0, pitch=0.0, start_time=0.0
-):
+    length: float,
+    speed: float,
+    *,
+    start: ArrayLike = (0.0, 0.0, 0.0),
+    heading: float = 0.0,
+    roll: float = 0.0,
+    pitch: float = 0.0,
+    start_time: float = 0.0,
+) -> Trajectory:
     """Return a straight level drive at constant speed.
 
     Parameters
@@ -213,7 +224,7 @@ def straight(
     return Trajectory(times, np.array([start, end]), roll, pitch, heading)
 
 
-def with_speed_variation(trajectory, *, share, seed):
+def with_speed_variation(trajectory: Trajectory, *, share: float, seed: int) -> Trajectory:
     """Return the same path driven at a speed that varies about its own within half a second.
 
     Parameters
@@ -255,7 +266,13 @@ def with_speed_variation(trajectory, *, share, seed):
     return Trajectory(trajectory.time[0] + since, trajectory.origin + values[:, :3], *angles.T)
 
 
-def measured(trajectory, errors, *, seed, interval_s=0.01):
+def measured(
+    trajectory: Trajectory,
+    errors: NavigationErrors,
+    *,
+    seed: int | Sequence[int],
+    interval_s: float = 0.01,
+) -> Trajectory:
     """Return the path that navigation with ``errors`` reports for a true path.
 
     Parameters
@@ -289,7 +306,13 @@ def measured(trajectory, errors, *, seed, interval_s=0.01):
     return Trajectory(trajectory.time[0] + since, position, *angles.T)
 
 
-def gauss_markov(shape, interval, correlation, rng, axis=0):
+def gauss_markov(
+    shape: int | tuple[int, ...],
+    interval: float,
+    correlation: float,
+    rng: np.random.Generator,
+    axis: int = 0,
+) -> np.ndarray:
     """Return first-order Gauss-Markov processes of standard deviation one along an axis."""
     from scipy.signal import lfilter
 

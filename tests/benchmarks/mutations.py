@@ -75,7 +75,7 @@ FAULTS = (
     ("lines", "sqrt(weight * self.angle**2", "sqrt(weight * self.angle", "test_lines_lhd.py"),
     ("lines", "if pairs.size and not pairs.any()", "if pairs.sum() < 200", "test_lines_lhd.py"),
     ("lines", "by_chance or pairs", "pairs", "test_lines_lhd.py"),
-    ("lines", "np.fmax(*(side.perp", "np.fmin(*(side.perp",
+    ("lines", "np.fmax(there.perp", "np.fmin(there.perp",
      "test_lines_lhd.py"),
     ("tender", "sign * (rank - limit)", "sign * (limit - rank)", "test_tender.py"),
     ("poles", "gaps = np.minimum(np.diff(used), 2 * ROOF_WINDOW)", "gaps = np.diff(used)",
