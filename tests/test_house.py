@@ -1,7 +1,6 @@
 """The house rules as data: who may import whom, and that what is delivered is whole."""
 
 import ast
-import hashlib
 import importlib
 import re
 import runpy
@@ -13,11 +12,10 @@ from pathlib import Path
 import pytest
 
 import mmqa_lab
-from mmqa_lab import samples
 from mmqa_lab.studies import STUDIES, TOOLS
 
 ROOT = Path(mmqa_lab.__file__).parent.parent
-PACKAGE = ROOT / "mmqa_lab"
+PACKAGE, TESTS = ROOT / "mmqa_lab", ROOT / "tests"
 
 LAYERS = (
     "__init__ _data _checks _compiled _results rotations",
@@ -34,6 +32,52 @@ LAYERS = (
 
 NO_FILES = set(" ".join((*LAYERS[:2], *LAYERS[3:6])).split()) - {"samples", "chart_image"}
 """Rooms of methods take arrays: they do not import io."""
+
+OTHER_TESTS = {
+    "__main__": "commands",
+    "_checks": "bad_inputs",
+    "_compiled": "spacing",
+    "_data": "house",
+    "chart_image/placing": "chart_photographs chart_bent",
+    "chart_image/reading": "chart_image",
+    "chart_image/rules": "legibility",
+    "commands/laboratory": "commands",
+    "commands/machine": "commands",
+    "commands/surveys": "commands",
+    "io/clouds": "io io_kinds",
+    "io/files": "io outputs",
+    "io/images": "chart_image_files",
+    "io/ply": "io io_kinds",
+    "io/polygons": "io",
+    "io/systems": "io",
+    "io/tables": "io bad_inputs",
+    "lines/displacement": "lines_lhd",
+    "lines/distance": "lines_lhd",
+    "lines/pairing": "lines",
+    "lines/segments": "lines",
+    "plane_search": "lines_edges",
+    "plots": "figures",
+    "poles/common": "poles",
+    "poles/fgi": "poles",
+    "poles/itc": "poles",
+    "poles/learned": "poles",
+    "published/ledger": "published",
+    "run/api": "run",
+    "run/notebooks": "studies",
+    "run/pages": "run",
+    "run/store": "stored",
+    "simulate": "house",
+    "simulate/canyon": "study_lhd_weight",
+    "simulate/streets": "poles",
+    "simulate/surfaces": "simulate_scenes",
+    "simulate/targets": "mtf radiometry",
+    "spacing/_search": "spacing",
+    "studies/fitness_text": "study_fitness",
+    "studies/image_resolution": "study_image_radiometry",
+    "studies/poles_training": "study_poles",
+    "widgets": "widgets_jury widgets_selection",
+}
+"""Modules whose tests stand in a file of another name, and that file: test_<name>.py."""
 
 LIBRARIES = ("matplotlib", "pyvista", "ipywidgets", "IPython")
 PICTURES = {"_figures", "plots", "views", *(f"library {name}" for name in LIBRARIES)}
@@ -90,6 +134,21 @@ def test_each_module_says_what_it_offers(path):
     assert set(module.__all__) <= set(vars(module))
 
 
+def test_each_module_has_a_test_file_by_its_name():
+    missing = set()
+    for path in PACKAGE.rglob("*.py"):
+        parts = path.relative_to(PACKAGE).with_suffix("").parts
+        parts = parts[:-1] if parts[-1] == "__init__" else parts
+        names = ["_".join(parts).strip("_"), *parts[-1:]]
+        if len(parts) == 2 and parts[0] == "studies":
+            names = [f"study_{parts[1]}"]
+        if parts and not any((TESTS / f"test_{name}.py").is_file() for name in names):
+            missing.add("/".join(parts))
+    assert missing == set(OTHER_TESTS)
+    for name in " ".join(OTHER_TESTS.values()).split():
+        assert (TESTS / f"test_{name}.py").is_file()
+
+
 def test_a_constant_has_a_name_of_its_own():
     # Studies share the names of what each of them has: METHODS, SOURCE, FIGURES.
     homes = {}
@@ -123,17 +182,6 @@ def test_importing_the_package_is_light():
 def test_catalogue_and_notebooks_agree():
     notebooks = {path.stem for path in (ROOT / "notebooks").glob("*.ipynb")}
     assert notebooks == {study.notebook for study in (*TOOLS, *STUDIES)}
-
-
-def test_samples_are_registered_with_hash_and_licence():
-    present = {path.name for path in samples.FOLDER.iterdir() if path.suffix in (".laz", ".jpg")}
-    assert present == {sample.file for sample in samples.SAMPLES.values()}
-    readme = (samples.FOLDER / "README.md").read_text(encoding="utf-8")
-    for sample in samples.SAMPLES.values():
-        content = (samples.FOLDER / sample.file).read_bytes()
-        assert hashlib.sha256(content).hexdigest() == sample.sha256
-        assert sample.licence
-        assert sample.sha256 in readme
 
 
 def test_no_test_reaches_beyond_this_machine():
