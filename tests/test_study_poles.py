@@ -1,5 +1,6 @@
 """The study: what its streets are, what it counts, what it sets side by side, its checks."""
 
+import built_street
 import gated_street
 import numpy as np
 import other_street
@@ -82,6 +83,19 @@ def test_rates_pool_the_streets(counted):
     f1 = rates.loc[("fgi", "f1", 30.0, "all"), "value"]
     assert f1 == pytest.approx(2 * hits / (targets + finds))
     assert np.isnan(study.rates(counted.isel(seed=[0])).query("quantity == 'f1'")["low"]).all()
+
+
+def test_differences_are_those_of_the_same_streets(counted):
+    rates = study.rates(counted).query("quantity == 'f1' and corridor_m == 30").set_index("method")
+    one = study.differences(counted, "fgi").squeeze()
+    assert one["other"] == "itc"
+    assert one["less"] == pytest.approx(rates["value"]["fgi"] - rates["value"]["itc"])
+    assert one["low"] <= one["less"] <= one["high"]
+    single = study.differences(counted.isel(seed=[0]), "itc")
+    assert single["low"].isna().all()
+    same = counted.assign({name: counted[name].sel(method="fgi") + 0 * counted[name] for name in
+                           ("hits_30", "targets_30", "finds_30")})  # fmt: skip
+    assert (study.differences(same, "fgi")[["less", "low", "high"]] == 0).all(axis=None)
 
 
 def test_a_method_of_ones_own_gets_rates(surveyed):
@@ -186,6 +200,34 @@ def test_pillars_of_gates_are_no_poles():
 def test_a_small_training_reproduces_itself():
     trees = [learned.grow(*training.lessons([1]), rounds=4) for _ in range(2)]
     assert all(np.array_equal(*parts) for parts in zip(*trees, strict=True))
+
+
+def test_calibrated_trees_add_a_line_to_scaled_log_odds(rng, monkeypatch):
+    trees = learned.shipped()
+    measures = pd.DataFrame(
+        rng.uniform(0, 4, (200, len(learned.MEASURES))), columns=[*learned.MEASURES]
+    )
+    measures["points"] = rng.uniform(1, 6, 200)
+    monkeypatch.setattr(training, "CALIBRATION", (-0.5, 1.2, -0.4))
+    found = training.calibrated(trees).log_odds(measures)
+    line = -0.5 + 1.2 * trees.log_odds(measures) - 0.4 * (measures["points"] - 3)
+    assert np.abs(found - line).max() < 0.4 * training.STEP / 2 + 1e-9
+
+
+def test_scores_are_shares_of_poles_on_streets_of_other_generators():
+    finds = []
+    for seed, scanner in ((651, "32 beams"), (652, "tilted profiler")):
+        points, truth, path, _ = built_street.looked_at(seed, scanner)
+        for keep in (1, 4):
+            found = poles.detect(points[::keep], threshold=0.1)
+            finds.append(poles.score(found, truth, corridor=30, trajectory=path).detections)
+    finds = pd.concat(finds).query("outcome in ('hit', 'false')")
+    right = finds["outcome"] == "hit"
+    assert len(finds) > 60
+    # two streets: loose on purpose, the benchmark has bands of more
+    assert right.mean() == pytest.approx(finds["score"].mean(), abs=0.15)
+    sure = finds["score"] > 0.9
+    assert right[sure].mean() > 0.85
 
 
 @pytest.mark.real

@@ -7,7 +7,7 @@
     result.recall, result.precision
 
 ``fgi`` follows scan lines (Lehtomaki et al. 2010), ``itc`` connected components (Pu et al. 2011).
-``learned`` uses 24 named measures and 150 small trees.
+``learned`` uses 24 named measures and 150 small trees, and 20 trees of two leaves calibrate it.
 
 A pole is an upright shaft (tilt at most 12 degrees) of 1 m or more that stands free, at least six
 times as high as wide with what it carries: lamps, signs, masts, trunks and slender bollards are
@@ -77,11 +77,14 @@ def detect(
 
     Notes
     -----
-    No score is a probability: it orders the detections. On streets with gates, wires and columns
-    that no lesson had, 2 % of the finds with a score of ``learned`` from 0.5 to 0.7 were poles, 5 %
-    from 0.7 to 0.8, 44 % from 0.8 to 0.9, and 98 % above; on sparse real streets low scores are
-    poles more often. The score of ``fgi`` is the share of points in the inner cylinder, that of
-    ``itc`` the share of pole-like slices.
+    The score of ``learned`` is calibrated on streets of two generators that no lesson had: there it
+    is the share of poles among the finds of that score. On 12 streets of a third generator 68 % of
+    the 19 finds from 0.5 to 0.7 were poles, 83 % of 29 up to 0.9, and 99 % of 114 above. On sparse
+    real streets low scores are poles more often. The score of ``fgi`` is the share of points in the
+    inner cylinder, that of ``itc`` the share of pole-like slices: an order, no probability.
+
+    On the same 12 streets 95 % of the axes were within 2.1 cm where ``learned`` told a diameter.
+    Without one the axis is the middle of what is seen: within 22 cm, mostly trees between stakes.
 
     Examples
     --------

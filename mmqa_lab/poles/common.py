@@ -48,9 +48,9 @@ def ground(points):
     >>> ground(street)(np.array([[10.0, 10.0]])).tolist()
     [0.0]
     """
-    points = points[points[:, 2].argsort()]
-    order, starts, places = sort_into_cells(points[:, :2], GROUND_CELL_M)
-    third = order[np.minimum(starts[:-1] + 2, starts[1:] - 1)]
+    rank = points[:, 2].argsort()
+    order, starts, places = sort_into_cells(points[rank, :2], GROUND_CELL_M)
+    third = rank[order[np.minimum(starts[:-1] + 2, starts[1:] - 1)]]
     squeezed = [_squeezed(axis) for axis in places.T]
     places = np.column_stack(
         [squeeze(axis) for squeeze, axis in zip(squeezed, places.T, strict=True)]

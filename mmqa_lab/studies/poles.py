@@ -23,8 +23,8 @@ from mmqa_lab.simulate.scan import scan
 
 __all__ = [
     "ASKED", "CLASSES", "CORRIDORS_M", "METHODS", "OAKLAND", "PARTS", "PRINTED", "bench",
-    "beside_published", "counts", "crowded", "f1", "oakland", "outcomes", "paired", "rates",
-    "scene",
+    "beside_published", "counts", "crowded", "differences", "f1", "oakland", "outcomes", "paired",
+    "rates", "scene",
 ]  # fmt: skip
 
 CORRIDORS_M = (30.0, 15.0, 12.5)
@@ -154,6 +154,40 @@ def _pooled(cells, end):
     yield whole | {"value": f1(own), "low": low, "high": high}
     for kind in CLASSES:
         yield rate("recall", kind, f"{kind}_hits", f"{kind}_targets")
+
+
+def differences(results, first, *, corridor=30.0):
+    """Return F1 of one method less that of each other on the same streets.
+
+    Parameters
+    ----------
+    results : xarray.Dataset
+        Results of :func:`bench`.
+    first : str
+        The method.
+    corridor : float
+        One of ``CORRIDORS_M``.
+
+    Returns
+    -------
+    DataFrame
+        ``other``, ``less`` and its 95 % interval ``low``, ``high``, a bootstrap over streets (NaN
+        for a single street), and ``streets``, their number.
+    """
+    names = [f"{name}_{corridor:g}" for name in ("hits", "targets", "finds")]
+    cells = cell_table(results).groupby("method", sort=False)[names]
+    counted = {method: own.to_numpy() for method, own in cells}
+
+    def less(rows):
+        return f1(rows[:, :3]) - f1(rows[:, 3:])
+
+    rows = []
+    for other in [method for method in counted if method != first]:
+        both = np.hstack([counted[first], counted[other]])
+        spread = stats.bootstrap(less, both, repeats=500) if len(both) > 1 else None
+        low, high = (spread.low, spread.high) if spread else (np.nan, np.nan)
+        rows.append({"other": other, "less": less(both), "low": low, "high": high})
+    return pd.DataFrame(rows).assign(streets=results.sizes["seed"])
 
 
 def f1(counted):
