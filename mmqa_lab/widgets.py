@@ -21,7 +21,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import shapely
-from IPython.display import HTML, Image, display
+from IPython.display import HTML, Image, Javascript, display
 from matplotlib.colors import to_rgba_array
 from matplotlib.figure import Figure
 from matplotlib.widgets import PolygonSelector
@@ -76,6 +76,9 @@ WIDE = {"width": "24em"}
 
 AXES = ("easting", "northing", "height")
 
+# Gives controls and pictures names for screen readers.
+SPOKEN = Path(__file__).with_suffix(".js")
+
 LOCK = threading.RLock()
 
 
@@ -126,6 +129,7 @@ def explore(
 
     if is_headless():
         return drawn(**{name: control.value for name, control in controls.items()})
+    display(Javascript(filename=SPOKEN))
     output = ipywidgets.interactive_output(lambda **values: display(drawn(**values)), controls)
     return ipywidgets.VBox([*controls.values(), output])
 
@@ -363,6 +367,7 @@ class SelectionTool:
         if is_headless():
             display(*self._pictures(), HTML(self.text.value))
         else:
+            display(Javascript(filename=SPOKEN))
             controls = [self._corners, self._undo, self._cut, self._place]
             display(ipywidgets.VBox([*self._pictures(), self.text, *controls]))
 

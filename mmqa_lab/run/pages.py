@@ -7,6 +7,7 @@ A page is one file with relative links and needs no network. The texts around th
 import base64
 import hashlib
 import re
+from html import escape
 from pathlib import Path
 
 import nbformat
@@ -33,7 +34,9 @@ TEMPLATES = Path(__file__).parent / "templates"
 # A formula on a line of its own, or within a text.
 FORMULA = re.compile(r"\$\$(.+?)\$\$|(?<![\\$])\$(?![\s$])([^$]+?)(?<![\s\\])\$", re.DOTALL)
 
-WRAPPED = "<style>.highlight pre { white-space: pre-wrap !important }</style>"
+# What a figure shows, as its cell says, and the headings of a text.
+CAPTION = re.compile(r'\bseen="([^"]+)"')
+HEADLINE = re.compile(r"^#+ +(.+)", re.MULTILINE)
 
 # File of the stored answers in the folder of the notebooks, see :mod:`mmqa_lab.run.store`.
 ANSWERS = "answers.csv"
@@ -124,14 +127,29 @@ def notebook_page(notebook, title, *, above=()):
     above : sequence of str
         Paragraphs in Markdown above the notebook.
     """
+    heading = title
     for cell in notebook.cells:
         if cell.cell_type == "markdown":
+            heading = [heading, *HEADLINE.findall(cell.source)][-1]
             cell.source = FORMULA.sub(_mathml, cell.source)
-    notebook.cells.insert(0, nbformat.v4.new_markdown_cell("\n\n".join([WRAPPED, *above])))
+        seen = CAPTION.findall(cell.source)
+        for output in cell.get("outputs", []):
+            if "image/png" in output.get("data", {}):
+                _name_picture(output, seen.pop(0) if seen else f"Figure, {heading}")
+    notebook.cells.insert(
+        0, nbformat.v4.new_markdown_cell("\n\n".join([filled("notebook.html"), *above]))
+    )
     notebook.metadata["title"] = title
     folded = TagRemovePreprocessor(remove_input_tags={"results"})
     body, _ = HTMLExporter(preprocessors=[folded]).from_notebook_node(notebook)
     return re.sub(r"(?s)<script.*?</script>", "", body)  # they would ask the network
+
+
+def _name_picture(output, text):
+    """Let the picture of an output have a text for readers who do not see it."""
+    picture = output["data"]["image/png"].replace("\n", "")
+    html = f'<img alt="{escape(text)}" src="data:image/png;base64,{picture}">'
+    output["data"] = {"text/html": html}
 
 
 def _mathml(formula):

@@ -142,6 +142,22 @@ def _wait(server, address, log, seconds=300):
     raise RuntimeError(f"JupyterLab did not start: {log.read_text()[-2000:]}")
 
 
+GRAVE = ("serious", "critical")
+
+
+@pytest.fixture
+def barriers():
+    """What axe-core finds in a part of a page, of the graver kinds, one line each."""
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="needs axe-core")
+
+    def found(page, part="body"):
+        """Rule and first place of each finding."""
+        said = axe.Axe().run(page, context=part).response["violations"]
+        return [f"{one['id']}: {one['nodes'][0]['html']}" for one in said if one["impact"] in GRAVE]
+
+    return found
+
+
 @pytest.fixture
 def ran(browser, lab, tmp_path):
     """Open a notebook, run it to the end; returns the page. A failing test leaves a screenshot."""

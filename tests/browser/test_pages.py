@@ -1,5 +1,6 @@
 """The pages of a run in Chromium: answers on the first screen, ledger and glossary on a phone."""
 
+import base64
 import shutil
 
 import matplotlib.pyplot as plt
@@ -46,7 +47,11 @@ def write_study(study, folder):
     table = {"text/html": pd.DataFrame({f"column_{k}_m": [k] for k in range(40)}).to_html()}
     output = nbformat.v4.new_output("display_data", data=table)
     text = nbformat.v4.new_markdown_cell("# Title\n\nWhere $d_0 = \\sqrt{1/\\rho_0}$.\n\n## Part")
-    cells = [text, nbformat.v4.new_code_cell(CODE, outputs=[output])]
+    drawn = base64.b64encode((run.folder / "seen.png").read_bytes()).decode()
+    drawn = nbformat.v4.new_output("display_data", data={"image/png": drawn})
+    shown = nbformat.v4.new_code_cell('run.save_figure(f, "a", seen="A line that rises.")')
+    shown.outputs = [drawn]
+    cells = [text, nbformat.v4.new_code_cell(CODE, outputs=[output]), shown]
     page = pages.notebook_page(nbformat.v4.new_notebook(cells=cells), study.title)
     (folder / "seen.html").write_text(page, encoding="utf-8")
 
@@ -79,3 +84,16 @@ def test_pages_are_as_wide_as_a_phone(opened, name):
     page = opened(name)
     page.set_viewport_size({"width": 390, "height": 800})
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
+
+
+@pytest.mark.parametrize(
+    "name", ["index.html", "ledger.html", "glossary.html", "api.html", "chart_tables/report.html"]
+)
+def test_pages_have_no_barrier(opened, barriers, name):
+    assert not barriers(opened(name))
+
+
+def test_a_page_of_a_notebook_has_no_barrier(opened, barriers):
+    page = opened(f"{STUDIES[0].stem}/seen.html")
+    assert not barriers(page)
+    assert page.locator("img").get_attribute("alt") == "A line that rises."
