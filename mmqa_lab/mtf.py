@@ -61,8 +61,9 @@ OTHER_STEP, OTHER_EDGE = 0.03, 0.25
 OVERSHOOT = 0.01
 """Of both sides of a profile, over the step: only sharpening gives that."""
 
-CUT = 0.005
-"""Share of the step by which the two halves of a profile differ where one is clipped."""
+CUT, ONE_SIDED = 0.005, 0.025
+"""Share of the step by which the two halves of a profile differ where one is clipped; and where
+something else is on one side."""
 
 WIDEST_GAP_PX = 0.75
 """Between places of the profile: an edge of 45 degrees has one in each 0.71 pixels."""
@@ -195,6 +196,7 @@ def fit_edge(image: ArrayLike, *, method: str = "binned") -> EdgeResponse:
     fit = _Sigmoid(distance.ravel(), along.ravel(), image.ravel(), angle, shape)
     crooked, second = fit.check(len(rows), image.shape[1])
     seen = _by_bins(fit) if method == "binned" else _by_sigmoid(fit)
+    clipped = [side for side, sign in (("white", 1), ("black", -1)) if fit.clipped(sign)]
     doubts = [
         (not np.isfinite(seen["mtf50"]), "MTF stays above 0.5"),
         (
@@ -203,10 +205,13 @@ def fit_edge(image: ArrayLike, *, method: str = "binned") -> EdgeResponse:
         ),
         (method != "binned" and fit.strange() > 0.02, "no sigmoid of this shape fits"),
         (fit.overshoot() > OVERSHOOT, "sharpened"),
-        (fit.clipped(1), "white is clipped: MTF50 is too high"),
-        (fit.clipped(-1), "black is clipped: MTF50 is too high"),
+        *((True, f"{side} is clipped: MTF50 is too high") for side in clipped),
         (crooked > CROOKED, f"not straight by {crooked:.0%} of its width: MTF50 is too low"),
         (second > OTHER_STEP, f"a second edge of {second:.0%} of the step"),
+        (
+            not clipped and second <= OTHER_STEP and fit.one_sided() > ONE_SIDED,
+            "the profile is not alike on both sides, as beside a second edge",
+        ),
     ]
     return EdgeResponse(
         width_px=fit.width,
@@ -338,12 +343,17 @@ class _Sigmoid:
             np.diff(levels)[0], CUT / 2 * self.contrast
         ):  # noise on one side of a wall
             return True
+        return self.one_sided() > CUT
+
+    def one_sided(self):
+        """By how much both halves of the profile differ, over the step, less what noise gives."""
         places, share, noise = self.shares()
         reach = np.linspace(0, 4 * self.spread + 1, 60)
         middle = np.linspace(-0.6, 0.6, 61)[:, None] * self.spread
         curve = PchipInterpolator(places, share)
         halves = curve(middle + reach) + curve(middle - reach) - 1
-        return bool(np.sqrt(np.square(halves).mean(axis=1)).min() > np.hypot(CUT, 1.3 * noise))
+        least = np.sqrt(np.square(halves).mean(axis=1)).min()
+        return float(np.sqrt(max(least**2 - (1.3 * noise) ** 2, 0)))
 
     def overshoot(self):
         """By how much the profile passes both levels, over the step, less what noise gives."""
@@ -393,15 +403,14 @@ def _by_bins(fit):
 
 def _sigma_of_bins(fit, mtf, mtf50):
     """Standard deviation of MTF50 that the noise of the profile gives."""
-    places, share, noise = fit.shares()
+    places, share, _ = fit.shares()
     count = _profile(fit.distance, fit.values)[2]
     beside = np.abs(places) > 4 * fit.spread + 2
-    off = (share - (places > 0))[beside] * np.sqrt(count[beside])
-    # neighbouring pixels of a photograph share a part of their noise
-    noise = max(noise * np.sqrt(np.median(count)), off.std())
+    # of the plain sides: neighbouring pixels of a photograph share a part of their noise
+    noise = ((share - (places > 0))[beside] * np.sqrt(count[beside])).std()
     terms = np.exp(-2j * np.pi * mtf50 * places) * _window(places)
     weight = np.abs(np.gradient(terms)) / np.sqrt(2)
-    near = np.abs(FREQUENCIES - mtf50) < max(0.03, mtf50 / 4)
+    near = np.abs(FREQUENCIES - mtf50) < max(0.02, mtf50 / 6)
     slope = np.polyfit(FREQUENCIES[near], mtf[near], 1)[0]
     of_transfer = noise * np.sqrt(np.sum(weight**2 / count)) / _of_bins(mtf50)
     # besides noise, bins err by .2 %
