@@ -79,8 +79,9 @@ OBSERVATION_COLUMNS = (
     "radius",
 )
 
-SHADOW, RELATIVE_STD = 6.0, 0.02
-"""Deviations that hardly count; standard deviation of an observation, a share of its radiance."""
+SHADOW, RELATIVE_STD, SMALLEST_STD = 6.0, 0.02, 1e-4
+"""Deviations that hardly count; standard deviation of an observation, a share of its radiance: to
+begin with, and at least."""
 
 ROUNDS, REWEIGHTINGS = 50, 16
 """Largest number of iterations, and iterations in which weights change."""
@@ -725,8 +726,7 @@ def adjust_block(
     """Adjust the radiometry of a block of overlapping images.
 
     Gauss-Newton on all parameters and reflectances together, whose normal matrix is sparse. The
-    standard deviation of an observation is taken to be 2 % of its radiance; what the misfit shows
-    beyond that widens the intervals.
+    standard deviation of an observation is a share of its radiance that the misfits show.
     Observations that fit badly are weighed down (Geman and McClure 1987), and those far off, as in
     shadow, do not count. A prior is a value and a standard deviation: 0 keeps the value, infinity
     leaves it to the images.
@@ -797,14 +797,18 @@ def adjust_block(
     ties, parameters = len(block.ties), int(free.sum()) - len(block.ties)
     # without control only ratios of gains are determined: their sum stays
     gains = sparse.csc_matrix([(np.arange(free.sum()) < images) * float(control is None)])
+    share, freedom = RELATIVE_STD, max(len(block.signal) - free.sum(), 1)
     for iteration in range(ROUNDS):
         misfit, jacobian = block.linearised(estimate)
         # a share of what is expected: of what is seen, shadows would weigh more
-        noise = RELATIVE_STD * np.maximum(block.signal - misfit, block.signal / 10)
-        scaled, jacobian = misfit / noise, jacobian[:, free]
+        expected = np.maximum(block.signal - misfit, block.signal / 10)
+        scaled, jacobian = misfit / expected, jacobian[:, free]
         if iteration < REWEIGHTINGS:
             size = np.abs(scaled) / _misfit_scale(scaled)
-            weight = (1 + (size / SHADOW) ** 2) ** -2 / noise**2
+            if iteration:
+                clipped = np.minimum(size, 5) * _misfit_scale(scaled)
+                share = max(np.sqrt(clipped @ clipped / freedom), SMALLEST_STD)
+            weight = (1 + (size / SHADOW) ** 2) ** -2 / (share * expected) ** 2
         normal = jacobian.T @ sparse.diags(weight) @ jacobian + sparse.diags(prior_weight)
         normal = normal + gains.T @ gains * (normal.diagonal()[:parameters].sum() / images**2)
         right = jacobian.T @ (weight * misfit) + prior_weight * (value - estimate)[free]
@@ -813,8 +817,8 @@ def adjust_block(
         change[parameters:] /= np.abs(estimate[-ties:]).mean()
         if np.abs(change).max() <= 1e-7:
             inverse = _covariance(normal, parameters)
-            _warn(block, estimate, value, std, RELATIVE_STD * scaled)
-            return _result(block, estimate, inverse, free, scaled, control is not None)
+            _warn(block, estimate, value, std, scaled)
+            return _result(block, estimate, inverse, free, control is not None)
     raise ValueError(
         f"Invalid block: still changing after {ROUNDS} iterations. Must have tie points that "
         "determine the parameters."
@@ -942,14 +946,11 @@ def _covariance(normal, count):
     return inverse
 
 
-def _result(block, estimate, inverse, free, scaled, absolute):
+def _result(block, estimate, inverse, free, absolute):
     """The adjustment as tables."""
     log_gain, b, radial, haze, ground = block.split(estimate)
-    freedom = max(len(scaled) - free.sum(), 1)
-    clipped = np.minimum(scaled**2, (5 * _misfit_scale(scaled)) ** 2)
-    sigma0 = float(np.sqrt(clipped.sum() / freedom))
     std = np.zeros(len(estimate))
-    std[np.flatnonzero(free)[: len(inverse)]] = sigma0 * np.sqrt(np.diag(inverse))
+    std[np.flatnonzero(free)[: len(inverse)]] = np.sqrt(np.diag(inverse))
     gain_std, b_std, radial_std, haze_std, _ = block.split(std)
     group = block.group_of_image
     of_image = {"gain": np.exp(log_gain), "gain_std_percent": 100 * gain_std}

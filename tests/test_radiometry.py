@@ -290,3 +290,16 @@ def test_two_pixels_of_one_value_are_no_saturation_unless_it_is_the_largest(top,
     image[0, :pixels] = top
     share = patch_statistics(image, [[0, 1, 0, 40]])["saturated_share"].item()
     assert (share > 0) == saturated
+
+
+def test_intervals_hold_where_observations_are_better_than_is_taken_at_first(rng):
+    inside, widths = [], []
+    for _ in range(12):
+        table, ground, gain = block(rng, noise=0.005)
+        known = ground[:6] + 0.003 * rng.standard_normal(6)
+        control = pd.DataFrame({"tie": range(6), "reflectance": known, "std": 0.003})
+        found = adjust_block(table, control=control, **PRIORS).gains
+        inside += [abs(found["gain"] / gain - 1) < 1.96 * found["gain_std_percent"] / 100]
+        widths += [found["gain_std_percent"].mean()]
+    assert np.mean(inside) > 0.85
+    assert np.mean(widths) < 1.5
