@@ -8,7 +8,7 @@ import pytest
 
 from mmqa_lab.studies import STUDIES, TOOLS
 
-DONE = {"chart_tables", "repeatability", "lhd_weight", "mimic"}
+DONE = {"chart_tables", "repeatability", "anisotropy", "lhd_weight", "mimic"}
 """Stems of the notebooks that have this form."""
 
 LINES, WIDTH, WORDS = 25, 100, 120

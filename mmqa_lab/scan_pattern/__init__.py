@@ -305,7 +305,8 @@ class Lattice(Shown):
         ax.plot(*(1000 * self.points(half_width)).T, ".", ms=2.5, color="0.6", mew=0)
         for step, name in ((self.a, "a"), (self.b, "b")):
             colour = COLOURS["vermilion" if name == "a" else "blue"]
-            ax.plot(*zip((0, 0), 1000 * step, strict=True), "-", color=colour, lw=1.5)
+            arrow = {"arrowstyle": "-|>", "color": colour, "shrinkA": 0, "shrinkB": 0}
+            ax.annotate("", 1000 * step, (0, 0), arrowprops=arrow)
             ax.annotate(name, 1000 * step, (4, 4), textcoords="offset points", color=colour)
         ends = (-1000 * half_width, 1000 * half_width)
         ax.set(xlim=ends, ylim=ends, aspect="equal")
