@@ -176,3 +176,28 @@ def test_a_flat_chart_of_other_pairs_gets_no_bend():
     seen, _ = photo_case("C", 5.0, "orthogonal", seed=1, layout=layout)
     assert seen.chart_map.bend is None
     assert seen.resolution("v").width_mm == 10.5
+
+
+@pytest.mark.parametrize(
+    ("changes", "pixel_mm"),
+    [
+        (CONDITIONS["pole"], 3.2),
+        ({"strips": ((1, 620.0, 9.0),)}, 4.0),
+        (CONDITIONS["shadow 75"], 5.4),
+        (CONDITIONS["blur 2"], 5.4),
+    ],
+)
+def test_texts_that_something_stands_before_are_named(changes, pixel_mm):
+    shot = shoot(CHART, pixel_mm, seed=3, **changes)
+    there = chart_image.locate(None, CHART, corners=shot.pixels(CHART.corners()))
+    quality = chart_image.evaluate_image(shot.linear, CHART, there)
+    named = {one for one in "; ".join(quality.remarks).replace(",", "").split() if "text_" in one}
+    axis, middle, half = (*changes.get("strips", ()), (0, -99.0, 0.0))[0]
+    across = {}
+    for text in CHART.of_kind(charts.Text):
+        low, high = text.corners()[[0, 2], axis]
+        if text.name.startswith("text_"):
+            across[text.name] = min(high, middle + half) - max(low, middle - half)
+    assert named <= {name for name, wide in across.items() if wide > 0}
+    surely = {name for name, wide in across.items() if wide > 15}
+    assert len(surely - named) <= len(surely) / 3

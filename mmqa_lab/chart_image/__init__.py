@@ -159,7 +159,8 @@ class ImageQuality(Shown):
         clipped, residual = self.tones.clipped_share, self.residual_px
         charts, pairs = self.chart_map.charts, self.pairs
         unseen = self.sizes.loc[self.sizes["pixel_mm"].isna(), "name"]
-        hidden = pairs.loc[pairs["reason"] == reading.HIDDEN, "name"]
+        hidden = pairs.loc[pairs["reason"] == reading.HIDDEN, "name"].tolist()
+        hidden += reading.hidden_texts(self.tones, self.layout, self.chart_map)
         moved = (pairs["reason"] == reading.MOVED) & (pairs["width_px"] > 4)
         moved = pairs.loc[moved & (pairs["contrast"].abs() > 0.1), "name"]
         # blurred pairs are half white, half black in linear light; a display's curve adds 0.2

@@ -18,11 +18,12 @@ import pandas as pd
 from mmqa_lab._checks import check_image
 from mmqa_lab._results import Shown
 from mmqa_lab.chart_image.placing import ChartMap
-from mmqa_lab.charts import Bar, Layout, LinePairs, reflectance
+from mmqa_lab.charts import Bar, Layout, LinePairs, Text, reflectance
 
 __all__ = [
     "HIDDEN", "MOVED", "SMALLEST_GAP", "SMALLEST_PAIR_PX", "PairReading", "Resolution", "Tones",
-    "expected_contrast", "find_tones", "pixel_sizes", "read_pairs", "read_pattern", "resolution",
+    "expected_contrast", "find_tones", "hidden_texts", "pixel_sizes", "read_pairs",
+    "read_pattern", "resolution",
 ]  # fmt: skip
 
 SMALLEST_CONTRAST = 3.0
@@ -41,6 +42,10 @@ HIDDEN, SURE_CONTRAST = "hidden", 0.3
 RIM_PX, RIM_MM, RIM_TONE, RIM_SHARE = 1.5, 12.0, 0.2, 0.04
 """White around a pattern is looked at: so deep in white, so far around. The pattern is hidden where
 that share of it is so far from white."""
+
+FEWEST_PIXELS, SMALLEST_SPREAD, LEGIBLE, LOST = 6, 0.02, 0.3, 0.12
+"""Parts of a text, half as wide as its capitals are high, that count: pixels, and variance of the
+print. Contrast of a text that is seen; a part with that share of it is hidden."""
 
 MESH_PX, TURN_STEPS = 4, 64
 """Pixels between those whose places are calculated; steps of a pair in which waves are sought."""
@@ -64,14 +69,15 @@ class Tones:
         Standard deviation of a pixel, in the same unit: the larger one of black and white.
     clipped_share : float
         Share of the plain pixels at zero or full scale.
-    odd : array, optional
-        How far plain white is from white; NaN where none is printed.
+    odd, printed : array, optional
+        How far plain white is from white, NaN where none is printed; the print, usually blurred.
     """
 
     values: np.ndarray
     noise: float
     clipped_share: float = 0.0
     odd: np.ndarray | None = None
+    printed: np.ndarray | None = None
 
     def near(self, chart_map, outline):
         """Return the places on the chart, mm, and values of the known pixels around an outline."""
@@ -137,7 +143,8 @@ def find_tones(image, layout, chart_map):
         )
     plain = image[white | black]
     odd = np.where(inside & (to_white >= RIM_PX), np.abs(values - 1), np.nan)
-    return Tones(values, noise, float(((plain >= 1) | (plain <= 0)).mean()), odd)
+    clipped = float(((plain >= 1) | (plain <= 0)).mean())
+    return Tones(values, noise, clipped, odd, np.where(inside, spilt, np.nan))
 
 
 @dataclass(frozen=True)
@@ -511,6 +518,26 @@ def _pixels(tones, pairs, chart_map):
     length_px = (pairs.length - 2 * end) * scales[:, 1 - axis].min()
     width_px = pairs.pair * scales[:, axis].min()
     return across[inside], along[inside], values[inside], float(width_px), length_px
+
+
+def hidden_texts(tones, layout, chart_map):
+    """Names of the texts of which a part does not look like the print, though the others do."""
+    names = []
+    for text in (one for one in layout.of_kind(Text) if one.name.startswith("text_")):
+        places, seen = tones.near(chart_map, text.corners())
+        _, printed = replace(tones, values=tones.printed).near(chart_map, text.corners())
+        part = np.maximum((places[:, 0] - text.x) / (text.cap / 2), 0).astype(int)
+        n = np.maximum(np.bincount(part), 1)
+        level, light, square, both = (
+            np.bincount(part, values) / n for values in (printed, seen, printed**2, printed * seen)
+        )
+        spread = square - level**2
+        clear = (n >= FEWEST_PIXELS) & (spread > SMALLEST_SPREAD)
+        gain = ((both - level * light) / np.maximum(spread, 1e-9))[clear]
+        typical = np.median(gain) if len(gain) else 0
+        if typical > LEGIBLE and gain.min() < LOST * typical:
+            names.append(text.name)
+    return names
 
 
 def _crossed(tones, pairs, chart_map):
