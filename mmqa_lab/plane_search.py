@@ -353,24 +353,36 @@ def _fitted(points):
 
 
 def _pieces(drawn, near, trials, tolerance, edge):
-    """Planes fitted to what the best planes of three points take: score, centre, normal."""
+    """Planes fitted to what the best planes of three points take: score, centre, normal.
+
+    ``near`` (seeds, points) are rows of ``drawn``, or one behind its last where there is none.
+    """
     there = near < len(drawn)
-    local = np.concatenate([drawn, np.zeros((1, 3))])[near]
-    picks = (trials * there.sum(axis=1)[:, None, None]).astype(int)
+    local = np.concatenate([drawn, np.zeros((1, 3))])[near]  # (seeds, points, 3)
+    picks = (trials * there.sum(axis=1)[:, None, None]).astype(int)  # (seeds, trials, 3)
+    normals, offsets, wide = _through_three(local, picks, edge)
+    off = np.abs(np.einsum("std,snd->stn", normals, local) - offsets[..., None])
+    near_plane = (off <= tolerance) & there[:, None]  # (seeds, trials, points)
+    votes = near_plane.sum(axis=2) * wide
+    chosen = near_plane[np.arange(len(votes)), votes.argmax(axis=1)]
+    score, centre, normal = _fitted_to(local, chosen, tolerance)
+    return np.where(votes.max(axis=1) >= LEAST_TRIAL, score, 0.0), centre, normal
+
+
+def _through_three(local, picks, edge):
+    """Planes through three points: normals, distances from the origin, whether wide enough."""
     a, b, c = (np.take_along_axis(local, picks[..., i, None], axis=1) for i in range(3))
     across = np.cross(b - a, c - a)
     area = np.linalg.norm(across, axis=2)
     normals = across / np.maximum(area, 1e-12)[..., None]
-    off = np.abs(np.einsum("std,snd->stn", normals, local) - (normals * a).sum(axis=2)[..., None])
-    on = (off <= tolerance) & there[:, None]
-    votes = on.sum(axis=2) * (area > 0.5 * edge**2)
-    best = np.arange(len(votes)), votes.argmax(axis=1)
-    on = on[best]
-    number = np.maximum(on.sum(axis=1), 1)
-    centre = (local * on[..., None]).sum(axis=1) / number[:, None]
-    shifted = (local - centre[:, None]) * on[..., None]
+    return normals, (normals * a).sum(axis=2), area > 0.5 * edge**2
+
+
+def _fitted_to(local, chosen, tolerance):
+    """Least-squares planes of the chosen points (seeds, points): score, centre, normal."""
+    number = np.maximum(chosen.sum(axis=1), 1)
+    centre = (local * chosen[..., None]).sum(axis=1) / number[:, None]
+    shifted = (local - centre[:, None]) * chosen[..., None]
     values, vectors = np.linalg.eigh(shifted.swapaxes(1, 2) @ shifted)
     # points without any plane have a mean square residual of a third of the squared tolerance
-    score = number * (1 - values[:, 0] / number / (tolerance**2 / 3))
-    good = votes.max(axis=1) >= LEAST_TRIAL
-    return np.where(good, score, 0.0), centre, vectors[:, :, 0]
+    return number * (1 - values[:, 0] / number / (tolerance**2 / 3)), centre, vectors[:, :, 0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -245,10 +246,10 @@ def _runs(sides, cell, clear):
         first, last = edges[start], edges[stop]
         if not all(_full(side, edges[[start, stop]], cell, clear)[0] for side in sides):
             continue
-        ends = [_ends(side[0], first, last, cell) for side in sides]
-        low_end = max((end[:2] for end in ends), key=lambda end: end[0])
-        high_end = min((end[2:4] for end in ends), key=lambda end: end[0])
-        yield low_end, high_end, [end[4] for end in ends]
+        lows, highs, counts = zip(
+            *(_ends(side[0], first, last, cell) for side in sides), strict=True
+        )
+        yield max(lows), min(highs), counts
 
 
 def _full(side, edges, cell, clear):
@@ -266,6 +267,13 @@ def _full(side, edges, cell, clear):
     # stray points do not lengthen an edge
     fair = counts >= max(1, 0.25 * usual - np.sqrt(usual))
     return fair & (nearest <= clear + away)
+
+
+class End(NamedTuple):
+    """An end of a side: its station along the line and its standard deviation, m."""
+
+    station: float
+    spread: float
 
 
 def _ends(side, first, last, cell):
@@ -286,7 +294,7 @@ def _ends(side, first, last, cell):
     a = max((k + 1 for k in broken if k < a), default=0)
     b = min((k for k in broken if k >= b), default=len(inside) - 1)
     spread = gap * (_beyond(n, BEYOND) - 1) / 1.96
-    return inside[a] - gap, spread, inside[b] + gap, spread, b - a + 1
+    return End(inside[a] - gap, spread), End(inside[b] + gap, spread), b - a + 1
 
 
 def _beyond(n, draws):
