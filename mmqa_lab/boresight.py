@@ -32,7 +32,7 @@ from scipy.special import stdtrit
 
 from mmqa_lab._checks import check_choice, check_columns, check_points
 from mmqa_lab._results import Shown
-from mmqa_lab.cloud import Cloud
+from mmqa_lab.cloud import Cloud, group_axes
 from mmqa_lab.planes import fit_circle, sigma_mad
 from mmqa_lab.rotations import rotations
 
@@ -346,7 +346,7 @@ def _shared(points, place, group):
     """Planes of the groups of points at each place if two or more groups show the same plane."""
     order = np.lexsort((group, place))
     starts = np.flatnonzero(np.diff(np.stack([place, group])[:, order], prepend=-1).any(axis=0))
-    n, _, centre, variance, axes = _moments(points[order], starts)
+    n, _, centre, variance, axes = group_axes(points[order], starts)
     rough, width = np.sqrt(variance[:, :2]).T
     flat = (n >= LEAST_POINTS) & (rough <= ROUGHNESS_M) & (width >= np.maximum(5 * rough, 0.1))
     flat = np.flatnonzero(flat)
@@ -365,16 +365,6 @@ def _shared(points, place, group):
     if table.empty:
         raise ValueError(f"Invalid drives: no planes in common within {CELL_M} m. Must overlap.")
     return table
-
-
-def _moments(points, starts):
-    """Counts, centred points, centres, variances (ascending) and axes of runs of points."""
-    n = np.diff(np.append(starts, len(points)))
-    centre = np.add.reduceat(points, starts) / n[:, None]
-    off = points - np.repeat(centre, n, axis=0)
-    scatter = np.add.reduceat(off[:, :, None] * off[:, None, :], starts) / n[:, None, None]
-    variance, axes = np.linalg.eigh(scatter)
-    return n, off, centre, np.maximum(variance, 0), axes
 
 
 def _heights(placed, control):
@@ -435,7 +425,7 @@ class _OnPlanes:
 
         The parameters of the features are eliminated.
         """
-        n, off, _, variance, axes = _moments(self.shots.placed(values), self.starts)
+        n, off, _, variance, axes = group_axes(self.shots.placed(values), self.starts)
         off = np.einsum("ni,nij->nj", off, np.repeat(axes, n, axis=0))
         slopes = self.shots.slopes(values, np.repeat(axes[:, :, 0], n, axis=0))
         for k in range(3):  # offset and two tilts: from the centre they are orthogonal

@@ -26,7 +26,7 @@ from mmqa_lab.spacing import (
     Spacing,
     empty_space,
     exempt,
-    line_waves,
+    line_parts,
     quadrants,
 )
 
@@ -243,7 +243,7 @@ class CloudQuality(Shown):
         These are confidence intervals of the mean over scans with the same mean pattern. The figure
         of another scan has its own error and lies inside in about 83 % of cases. Points of the same
         scan line share errors. So the intervals follow from slow waves across and along the lines
-        (:func:`mmqa_lab.spacing.line_waves`). sigma_MAD, d1..d4 and the two spacings of g are
+        (:func:`mmqa_lab.spacing.line_parts`). sigma_MAD, d1..d4 and the two spacings of g are
         medians (:func:`mmqa_lab.stats.median_interval`). f and g are ratios of two medians
         (:func:`mmqa_lab.stats.median_ratio_interval`). The density and the variance of std are
         means. The operator's error is not included, see
@@ -265,7 +265,7 @@ class CloudQuality(Shown):
         >>> bool((table["low"] < table["value"]).all() and (table["value"] < table["high"]).all())
         True
         """
-        block, residuals_mm = self.spacing.waves, 1000 * self.plane.residuals
+        block, residuals_mm = self.spacing.parts, 1000 * self.plane.residuals
         off = np.abs(residuals_mm - np.median(residuals_mm))
         factor = self.sigma_mad_mm / max(np.median(off), 1e-300)
         ends = np.multiply(factor, stats.median_interval(off, block))
@@ -375,7 +375,7 @@ class CloudQuality(Shown):
         x, y = np.meshgrid(*(low + (high - low) * GRID[:, None]).T)
         places = np.column_stack([x.ravel(), y.ravel()])
         places = places[shapely.contains_xy(self.outline, *places.T)]
-        block = line_waves(np.vstack([self.xy, places]), self.directional)
+        block = line_parts(np.vstack([self.xy, places]), self.directional)
         # a point counts 1, a place of the grid minus the points expected per place
         expected = np.full(len(places), self.n / len(places))
         signs = np.concatenate([np.ones(self.n), -expected])
@@ -664,7 +664,7 @@ def _remark_on_form(xy, residuals_mm, step_mm, scale):
             f"The surface is bent: its form is {100 * share:.0f} % of the variance of the "
             f"distances. Without it sigma_MAD is {sigma_mad(rest, scale):.1f} mm."
         ]
-    block = stats.blocks(xy, side=int(min(8, (len(xy) / 8) ** 0.5)))
+    block = stats.block_numbers(xy, side=int(min(8, (len(xy) / 8) ** 0.5)))
     counts = np.maximum(np.bincount(block), 1)
     within = residuals_mm - (np.bincount(block, residuals_mm) / counts)[block]
     # the means of the blocks take a part of the noise

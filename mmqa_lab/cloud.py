@@ -19,6 +19,7 @@ __all__ = [
     "cells_of",
     "describe",
     "extent",
+    "group_axes",
     "path_distance",
     "sort_into_cells",
     "unit_remarks",
@@ -375,3 +376,38 @@ def sort_into_cells(points: np.ndarray, size: float) -> tuple[np.ndarray, ...]:
     key = key[order]
     first = np.append(0, np.flatnonzero(key[1:] != key[:-1]) + 1)
     return order, np.append(first, len(order)), index[order[first]] + low
+
+
+def group_axes(points: np.ndarray, starts: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return how the points of each group lie about their centre; a group is a run of rows.
+
+    Parameters
+    ----------
+    points : array, shape (n, 3)
+        Group by group, m; a cloud sorted by :func:`sort_into_cells`, for example.
+    starts : array of int, shape (k,)
+        First row of each group; none is empty.
+
+    Returns
+    -------
+    counts : array of int, shape (k,)
+    off : array, shape (n, 3)
+        The points from the centre of their group, m.
+    centres : array, shape (k, 3)
+    variances : array, shape (k, 3)
+        Along the axes, ascending, m^2.
+    axes : array, shape (k, 3, 3)
+        Unit vectors in columns.
+
+    Examples
+    --------
+    >>> counts, _, centres, variances, _ = group_axes(np.array([[0, 0, 0], [0, 0, 2.0]]), [0])
+    >>> counts.tolist(), centres.tolist(), variances.tolist()
+    ([2], [[0.0, 0.0, 1.0]], [[0.0, 0.0, 1.0]])
+    """
+    counts = np.diff(np.append(starts, len(points)))
+    centres = np.add.reduceat(points, starts) / counts[:, None]
+    off = points - np.repeat(centres, counts, axis=0)
+    scatter = np.add.reduceat(off[:, :, None] * off[:, None, :], starts) / counts[:, None, None]
+    variances, axes = np.linalg.eigh(scatter)
+    return counts, off, centres, np.maximum(variances, 0), axes

@@ -25,13 +25,13 @@ __all__ = [
     "Errors",
     "Interval",
     "Rate",
-    "blocks",
+    "block_numbers",
     "bootstrap",
     "errors",
     "mean_reach",
     "median_interval",
     "median_ratio_interval",
-    "waves",
+    "order_parts",
     "wilson",
 ]
 
@@ -275,7 +275,7 @@ def bootstrap(
     return Interval(float(statistic(*arrays)), float(low), float(high))
 
 
-def blocks(xy: ArrayLike, *, side: int = 4) -> np.ndarray:
+def block_numbers(xy: ArrayLike, *, side: int = 4) -> np.ndarray:
     """Number the points by the square blocks of a grid over them.
 
     Parameters
@@ -292,7 +292,7 @@ def blocks(xy: ArrayLike, *, side: int = 4) -> np.ndarray:
 
     Examples
     --------
-    >>> blocks([[0, 0], [4, 0], [4, 4]], side=2).tolist()
+    >>> block_numbers([[0, 0], [4, 0], [4, 4]], side=2).tolist()
     [0, 2, 3]
     """
     xy = np.asarray(xy, dtype=np.float64)
@@ -302,7 +302,7 @@ def blocks(xy: ArrayLike, *, side: int = 4) -> np.ndarray:
     return column * side + row
 
 
-def waves(xy: ArrayLike, direction: float) -> np.ndarray:
+def order_parts(xy: ArrayLike, direction: float) -> np.ndarray:
     """Number the points by their order across a direction and along it, for slow waves.
 
     Parameters
@@ -322,7 +322,7 @@ def waves(xy: ArrayLike, direction: float) -> np.ndarray:
     Examples
     --------
     >>> x, y = np.meshgrid(np.arange(40), np.arange(16))
-    >>> waves(np.stack([x.ravel(), y.ravel()], axis=1), 0)[:, [0, 39, 639]].tolist()
+    >>> order_parts(np.stack([x.ravel(), y.ravel()], axis=1), 0)[:, [0, 39, 639]].tolist()
     [[8, 8, 248], [3, 252, 252]]
     """
     turn = np.radians(direction)
@@ -351,7 +351,8 @@ def mean_reach(values: ArrayLike, block: ArrayLike) -> float:
     ----------
     values : array_like, shape (n,)
     block : array_like of int, shape (n,), (2, n) or (4, n)
-        The block of each value, see :func:`blocks`, or one or two pairs of :func:`waves`.
+        The block of each value, see :func:`block_numbers`, or one or two pairs of
+        :func:`order_parts`.
 
     Returns
     -------
@@ -384,7 +385,8 @@ def median_interval(values: ArrayLike, block: ArrayLike) -> tuple[float, float]:
     values : array_like, shape (n,)
         NaN if not measurable; infinity is a large value.
     block : array_like of int, shape (n,), (2, n) or (4, n)
-        The block of each value, see :func:`blocks`, or one or two pairs of :func:`waves`.
+        The block of each value, see :func:`block_numbers`, or one or two pairs of
+        :func:`order_parts`.
 
     Returns
     -------

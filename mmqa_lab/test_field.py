@@ -36,7 +36,7 @@ from mmqa_lab._checks import (
     check_positive,
 )
 from mmqa_lab.planes import fit_circle, fit_line
-from mmqa_lab.stats import blocks, errors, mean_reach
+from mmqa_lab.stats import block_numbers, errors, mean_reach
 
 __all__ = [
     "FEWEST_ON_CIRCLE", "POLE_SEARCH_M", "REPORT_SLICES", "SLICES", "compare_heights",
@@ -241,7 +241,7 @@ def height_accuracy(table: pd.DataFrame) -> pd.DataFrame:
     dz = 1000 * used["dz_m"]
     block = np.arange(len(used))
     if {"x_m", "y_m"} <= set(used) and len(used):
-        block = blocks(used[["x_m", "y_m"]])
+        block = block_numbers(used[["x_m", "y_m"]])
     rows = {"kept": _heights(dz, block), "removed": _heights(dz - dz.mean(), block)}
     rows["kept"] |= _mean_ends("mean", dz, block)
     return pd.DataFrame(rows.values(), index=pd.Index(rows, name="shift")).reset_index()

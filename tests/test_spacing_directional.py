@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmqa_lab.simulate.point_patterns import point_pattern
-from mmqa_lab.spacing import directional, line_waves, quadrants, turned_f
+from mmqa_lab.spacing import directional, line_parts, quadrants, turned_f
 from mmqa_lab.stats import WAVE_PARTS
 from mmqa_lab.studies.anisotropy import pair_contrast, structure_tensor
 
@@ -141,8 +141,8 @@ def test_waves_have_whole_lines_whatever_their_direction(degrees):
     turn = np.radians(degrees)
     c, s = np.cos(turn), np.sin(turn)
     xy = np.column_stack([x.ravel(), y.ravel()]) @ np.array([[c, s], [-s, c]])
-    across, along = line_waves(xy).reshape(2, 24, 120)
+    across, along = line_parts(xy).reshape(2, 24, 120)
     assert np.ptp(across, axis=1).max() <= WAVE_PARTS // 24 + 1  # a line is a 24th of the points
     assert np.ptp(along, axis=1).min() >= 0.98 * WAVE_PARTS - 1
-    assert len(line_waves(np.random.default_rng(1).random((500, 2)))) == 4  # no direction
-    assert line_waves(xy[:20]).tolist() == 20 * [0]
+    assert len(line_parts(np.random.default_rng(1).random((500, 2)))) == 4  # no direction
+    assert line_parts(xy[:20]).tolist() == 20 * [0]

@@ -71,7 +71,7 @@ def test_slow_waves_are_blind_to_trends_and_bowls_but_to_no_place():
 def test_parts_hold_equal_numbers_and_follow_the_order_of_places(n, seed, digits):
     xy = np.random.default_rng(seed).random((n, 2)).round(digits)
     xy[0] = [1e6, -1e6]  # far away from the others
-    for parts, places in zip(stats.waves(xy, 0), (xy[:, 1], xy[:, 0]), strict=True):
+    for parts, places in zip(stats.order_parts(xy, 0), (xy[:, 1], xy[:, 0]), strict=True):
         order = np.argsort(places, kind="stable")
         assert (np.diff(parts[order]) >= 0).all()
         assert set(parts) <= set(range(stats.WAVE_PARTS))

@@ -9,7 +9,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from mmqa_lab.cloud import sort_into_cells
+from mmqa_lab.cloud import group_axes, sort_into_cells
 
 __all__ = ["drop_duplicates", "first_reason", "ground", "joined", "pairs", "table"]
 
@@ -179,8 +179,5 @@ def principal_axes(points, part):
     >>> variances.tolist()
     [[0.0, 0.0, 1.0]]
     """
-    centre = pd.DataFrame(points).groupby(part).mean().to_numpy()
-    off = points - centre[part]
-    products = (off[:, :, None] * off[:, None, :]).reshape(-1, 9)
-    scatter = pd.DataFrame(products).groupby(part).mean().to_numpy()
-    return centre, *np.linalg.eigh(scatter.reshape(-1, 3, 3))
+    order = np.argsort(part, kind="stable")
+    return group_axes(points[order], np.flatnonzero(np.diff(part[order], prepend=-1)))[2:]

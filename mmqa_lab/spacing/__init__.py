@@ -149,14 +149,14 @@ class Spacing(Shown):
     @cached_property
     def _bounds(self):
         """95 % confidence intervals of d1..d4 (m) and f, shape (5, 2)."""
-        ends = [stats.median_interval(distances, self.waves) for distances in self.distances.T]
+        ends = [stats.median_interval(distances, self.parts) for distances in self.distances.T]
         nearest, farthest = self.distances.T[[0, -1]]
-        return np.array([*ends, stats.median_ratio_interval(farthest, nearest, self.waves)])
+        return np.array([*ends, stats.median_ratio_interval(farthest, nearest, self.parts)])
 
     @cached_property
-    def waves(self) -> np.ndarray:
-        """Waves for the intervals, see :func:`line_waves`."""
-        return line_waves(self.xy, self.directional if self.n >= FEWEST_POINTS else None)
+    def parts(self) -> np.ndarray:
+        """Parts of the order of the points, for the intervals: :func:`line_parts`."""
+        return line_parts(self.xy, self.directional if self.n >= FEWEST_POINTS else None)
 
     def plot(self, *, ax: Axes | None = None) -> Axes:
         """Draw the nearest and the farthest quadrant distances of all points, and their medians."""
@@ -180,7 +180,7 @@ class Spacing(Shown):
     def intervals(self) -> pd.DataFrame:
         """Return a row for each of d1..d4 (mm) and f: value, 95 % interval, number of points.
 
-        Intervals allow for errors of whole scan lines if points lie in lines: :func:`line_waves`.
+        Intervals allow for errors of whole scan lines if points lie in lines: :func:`line_parts`.
         """
         table = _table(["d1", "d2", "d3", "d4", "f"], [*self.d, self.f], self._bounds)
         return table.assign(n=[*self.counts, self.counts[-1]])
@@ -431,7 +431,7 @@ class DirectionalSpacing(Shown):
     @cached_property
     def _bounds(self):
         """95 % confidence intervals of along, across and g, shape (3, 2)."""
-        block = line_waves(self.xy, self)
+        block = line_parts(self.xy, self)
         places = (self.direction_deg + np.array([0, 90])) / STEP_DEG
         along, across = self.nearest[:, places.round().astype(int) % len(self.directions_deg)].T
         ends = [stats.median_interval(distances, block) for distances in (along, across)]
@@ -451,7 +451,7 @@ class DirectionalSpacing(Shown):
     def intervals(self) -> pd.DataFrame:
         """Return rows for along, across (mm) and g: value, 95 % interval, direction, n.
 
-        The intervals hold for the direction found, and come from :func:`line_waves`.
+        The intervals hold for the direction found, and come from :func:`line_parts`.
         """
         values = [self.along, self.across, self.g]
         table = _table(["along", "across", "g"], values, self._bounds)
@@ -659,8 +659,8 @@ def _to_border(places, outline, corner):
     return np.sqrt(found)
 
 
-def line_waves(xy: ArrayLike, found: DirectionalSpacing | None = None) -> np.ndarray:
-    """Return waves across and along the scan lines, for intervals.
+def line_parts(xy: ArrayLike, found: DirectionalSpacing | None = None) -> np.ndarray:
+    """Return the parts of the points' order across and along the scan lines, for intervals.
 
     An error of a whole line, such as its distance from the next line, is common to all of its
     points. The waves follow the direction in which points lie closest. Without such a direction
@@ -677,13 +677,13 @@ def line_waves(xy: ArrayLike, found: DirectionalSpacing | None = None) -> np.nda
     Returns
     -------
     array of int, shape (2, n) or (4, n)
-        See :func:`mmqa_lab.stats.waves`. A single block, so no interval, shape (n,), for fewer than
-        50 points or points at a single place.
+        See :func:`mmqa_lab.stats.order_parts`. A single block, so no interval, shape (n,), for
+        fewer than 50 points or points at a single place.
 
     Examples
     --------
     >>> x, y = np.meshgrid(np.arange(40) * 0.01, np.arange(16) * 0.04)
-    >>> line_waves(np.stack([x.ravel(), y.ravel()], axis=1)).shape
+    >>> line_parts(np.stack([x.ravel(), y.ravel()], axis=1)).shape
     (2, 640)
     """
     xy = np.asarray(xy, dtype=np.float64)
@@ -691,8 +691,8 @@ def line_waves(xy: ArrayLike, found: DirectionalSpacing | None = None) -> np.nda
         return np.zeros(len(xy), dtype=np.intp)
     found = directional(xy) if found is None else found
     if found.g > 1 + CHANCE / np.sqrt(found.n):
-        return stats.waves(xy, found.direction_deg)
-    return np.vstack([stats.waves(xy, 0), stats.waves(xy, 45)])
+        return stats.order_parts(xy, found.direction_deg)
+    return np.vstack([stats.order_parts(xy, 0), stats.order_parts(xy, 45)])
 
 
 def turned_f(xy: ArrayLike, *, angles: ArrayLike, radius: float = 0.5) -> np.ndarray:
