@@ -430,6 +430,11 @@ def evaluate_cloud(
         If fewer than three points are selected, if they lie on a line, or if an argument is
         invalid.
 
+    See Also
+    --------
+    mmqa_lab.repeatability.evaluate_selections : the same for many polygons.
+    mmqa_lab.maps.map_cloud : the same figures in cells of a whole cloud.
+
     Notes
     -----
     A remark is given if the step of the coordinates is larger than sigma_MAD or than a fifth of d1.

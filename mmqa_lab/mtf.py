@@ -163,6 +163,10 @@ def fit_edge(image: ArrayLike, *, method: str = "binned") -> EdgeResponse:
         If the method is another, the image is too small, shows no edge that stands out from its
         noise, or more than one.
 
+    See Also
+    --------
+    measure_star : from a Siemens star, all directions at once.
+
     Notes
     -----
     The grey values must be linear in light: a display curve changes the MTF. An edge along the
@@ -680,6 +684,10 @@ def measure_star(
     ValueError
         If the star leaves the image, is too small to show plain sectors, shows another number of
         cycles, or is tilted by more than 35 degrees.
+
+    See Also
+    --------
+    fit_edge : from one edge, which any photograph may have.
 
     Notes
     -----

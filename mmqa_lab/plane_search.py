@@ -117,6 +117,10 @@ def detect_planes(
     UserWarning
         If the cloud is too thin for planes of this size.
 
+    See Also
+    --------
+    mmqa_lab.planes.fit_plane : the plane of points that are known to lie on one.
+
     Notes
     -----
     Time and memory grow linearly with the number of points. Equal clouds give equal planes. A

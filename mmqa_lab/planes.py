@@ -129,6 +129,10 @@ def fit_plane(points: ArrayLike, *, robust: bool = False) -> Plane:
     ValueError
         If there are fewer than three points, or all lie on one line or spot.
 
+    See Also
+    --------
+    mmqa_lab.plane_search.detect_planes : all planes of a cloud.
+
     Notes
     -----
     Principal axes follow the outline of the selection, not the scan. In a nearly square selection
@@ -255,6 +259,10 @@ def sigma_mad(residuals: ArrayLike, scale: float = CONSISTENT_SCALE) -> float:
     ------
     ValueError
         If there are no residuals, one is not finite, or the scale is not above zero.
+
+    See Also
+    --------
+    mmqa_lab.stats.errors : bias, RMSE and NMAD of errors whose zero is known.
 
     Notes
     -----

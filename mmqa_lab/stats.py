@@ -182,6 +182,10 @@ def errors(values: ArrayLike) -> Errors:
     ValueError
         If an error is infinite.
 
+    See Also
+    --------
+    mmqa_lab.planes.sigma_mad : the noise of points about a fitted plane.
+
     Examples
     --------
     >>> errors([1.0, -1.0, 3.0]).bias, round(errors([1.0, -1.0, 3.0]).rmse, 3)
@@ -251,6 +255,11 @@ def bootstrap(
     ------
     ValueError
         If the arrays have different lengths or none, or ``repeats`` is below 1.
+
+    See Also
+    --------
+    median_interval : of a median of values that depend on their neighbours.
+    mean_reach : of a mean of such values.
 
     References
     ----------
@@ -392,6 +401,10 @@ def median_interval(values: ArrayLike, block: ArrayLike) -> tuple[float, float]:
     -------
     low, high : float
         NaN with fewer than two blocks.
+
+    See Also
+    --------
+    bootstrap : of any statistic, where the values are independent.
 
     References
     ----------

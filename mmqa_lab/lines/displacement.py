@@ -172,6 +172,11 @@ def match_displaced(test: ArrayLike, model: ArrayLike, *, radius: float = 4.0) -
     ValueError
         If the radius is not positive.
 
+    See Also
+    --------
+    lhd : one number for the distance of two sets, whatever its cause.
+    fit_displacement : where the pairs are known.
+
     Notes
     -----
     Segments must have two directions at least. Settings were chosen on simulated canyons whose

@@ -298,6 +298,10 @@ def lhd(
         If a set is empty, a threshold is a fallback, fewer than five pairs remain, or ``displaced``
         was replaced by ``fragments``.
 
+    See Also
+    --------
+    match_displaced : the displacement of the sets itself, with its covariance.
+
     Notes
     -----
     The value is no displacement. Noise of angles and end points and false pairs increase it, and a

@@ -266,6 +266,11 @@ def quadrants(xy: ArrayLike, *, radius: float = 0.5, angle: float = 0.0) -> Spac
     ValueError
         As for :func:`quadrant_distances`.
 
+    See Also
+    --------
+    empty_space : from places of the surface instead of points; what a detail needs.
+    directional : the spacing by direction, where points lie in lines.
+
     Notes
     -----
     Each median is over the points that have a neighbour of that rank. Points at the edge lack
@@ -488,6 +493,11 @@ def directional(xy: ArrayLike, *, radius: float = 0.5) -> DirectionalSpacing:
     ------
     ValueError
         If there are fewer than two points or an argument is invalid.
+
+    See Also
+    --------
+    quadrants : the published figures d1..d4 and f, in one system of axes.
+    empty_space : the largest gaps, in whatever direction.
 
     Notes
     -----
