@@ -1,15 +1,23 @@
-"""The small clouds in ``data_samples`` and larger public clouds outside the repository."""
+"""The clouds in ``data_samples``, public clouds that others host, and a folder of larger ones.
 
+:func:`fetch` downloads a public cloud once, :func:`path` names a file that comes with the package.
+"""
+
+import hashlib
 import os
+import tarfile
+import urllib.request
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+from tqdm.auto import tqdm
 
 from mmqa_lab._checks import check_choice
 from mmqa_lab._data import read_toml, shipped_folder
+from mmqa_lab.io import write_atomically
 
-__all__ = ["has_real", "path", "real_path", "road_patch_heads"]
+__all__ = ["PUBLIC", "SAMPLES", "fetch", "has_real", "path", "real_path", "road_patch_heads"]
 __dir__ = __all__.copy
 
 FOLDER = shipped_folder("data_samples")
@@ -17,9 +25,89 @@ FOLDER = shipped_folder("data_samples")
 # The environment variable that names the folder of larger public clouds.
 REAL_VARIABLE = "MMQA_DATA"
 
-_ROWS = read_toml(Path(__file__).with_suffix(".toml"))["samples"]
-SAMPLES = {row["name"]: SimpleNamespace(**row) for row in _ROWS}
+# The environment variable that names the folder of downloaded clouds.
+CACHE_VARIABLE = "MMQA_CACHE"
+
+_ROWS = read_toml(Path(__file__).with_suffix(".toml"))
+SAMPLES = {row["name"]: SimpleNamespace(**row) for row in _ROWS["samples"]}
 """The files of ``data_samples`` by name: file, sha256, licence, origin, units and contents."""
+
+
+PUBLIC = {row["name"]: SimpleNamespace(**row) for row in _ROWS["public"]}
+"""Clouds that others host, by name: url of an archive and the file in it, sha256 and size of the
+archive, licence, doi, origin and contents."""
+
+
+def fetch(name: str) -> Path:
+    """Return the path of a public cloud, which is downloaded if it was not before.
+
+    Downloads are kept in the folder that ``MMQA_CACHE`` names, by default ``~/.cache/mmqa_lab``.
+    One that was interrupted goes on from where it stopped. Each call compares the hash.
+
+    Parameters
+    ----------
+    name : str
+        A name of ``PUBLIC``, which states licence and origin.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    ValueError
+        If no public cloud has that name, or if the host has another file under its address.
+    OSError
+        If the host cannot be reached, or the download ends early.
+
+    Examples
+    --------
+    >>> PUBLIC["hdl32e_target"].doi, PUBLIC["hdl32e_target"].licence
+    ('10.21105/joss.06948', 'MIT')
+    """
+    one = PUBLIC[check_choice(name, "public cloud", PUBLIC)]
+    cache = Path(os.environ.get(CACHE_VARIABLE, Path.home() / ".cache" / "mmqa_lab"))
+    archive, part = (cache / f"{one.sha256[:12]}{ending}" for ending in (".tar.gz", ".part"))
+    if not archive.is_file() or _sha256(archive) != one.sha256:
+        cache.mkdir(parents=True, exist_ok=True)
+        _download(one, part)
+        if (other := _sha256(part)) != one.sha256:
+            part.unlink()
+            told = f"Invalid public cloud {name} with SHA-256 {other}."
+            raise ValueError(f"{told} Must be {one.sha256}.")
+        part.replace(archive)
+    target = cache / f"{name}{Path(one.file).suffix}"
+    with tarfile.open(archive) as opened:
+        found = next(part for part in opened if part.name.partition("/")[2] == one.file)
+        content = opened.extractfile(found).read()
+    write_atomically(target, lambda path: path.write_bytes(content))
+    return target
+
+
+def _download(one, part):
+    """Download the rest of an archive to the end of a part of it."""
+    have = part.stat().st_size if part.is_file() else 0
+    asked = urllib.request.Request(one.url, headers={"Range": f"bytes={have}-"} if have else {})
+    try:
+        with urllib.request.urlopen(asked, timeout=60) as answer:
+            have *= answer.status == 206  # of a part; other hosts begin again
+            bar = tqdm(total=one.size, initial=have, unit="B", unit_scale=True, desc=one.name)
+            with part.open("ab" if have else "wb") as file, bar:
+                while piece := answer.read(2**16):
+                    bar.update(file.write(piece))
+    except OSError as error:
+        raise OSError(
+            f"Invalid address {one.url}: no answer. Must be reachable once; the next call goes on."
+        ) from error
+    if part.stat().st_size < one.size:
+        got = f"{part.stat().st_size} of {one.size} bytes"
+        raise OSError(f"Invalid download of {one.name}: {got}. Must be whole; call again to go on.")
+
+
+def _sha256(file):
+    """The SHA-256 of a file."""
+    with file.open("rb") as opened:
+        return hashlib.file_digest(opened, "sha256").hexdigest()
 
 
 def path(name: str) -> Path:

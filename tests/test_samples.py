@@ -1,6 +1,12 @@
 """The clouds and pictures that come with the package."""
 
 import hashlib
+import http.server
+import io as streams
+import re
+import tarfile
+import threading
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -42,3 +48,88 @@ def test_real_files_are_looked_for_only_where_a_folder_is_named(monkeypatch, tmp
 def test_an_unknown_sample_is_refused_with_the_names_that_there_are():
     with pytest.raises(ValueError, match=r"Must be one of .*road_patch"):
         samples.path("road")
+
+
+@pytest.fixture
+def host(monkeypatch, tmp_path):
+    """A public cloud on a server of this machine: its entry, and the ranges that were asked for."""
+    stream = streams.BytesIO()
+    cloud = np.random.default_rng(0).uniform(0, 9, (20_000, 3)).astype("<f4").tobytes()
+    with tarfile.open(fileobj=stream, mode="w:gz") as archive:
+        entry = tarfile.TarInfo("a/wall.bin")
+        entry.size = len(cloud)
+        archive.addfile(entry, streams.BytesIO(cloud))
+    whole, asked, cut = stream.getvalue(), [], []
+
+    class Handler(http.server.BaseHTTPRequestHandler):
+        """Answers with the rest of the archive, or with a half of it."""
+
+        def do_GET(self):
+            asked.append(self.headers.get("Range"))
+            start = int((asked[-1] or "bytes=0-")[6:-1])
+            self.send_response(206 if start else 200)
+            self.send_header("Content-Length", str(len(whole) - start))
+            self.end_headers()
+            self.wfile.write(whole[start:][: len(whole) // 2 if cut else None])
+
+        def log_message(self, *_):
+            """Say nothing."""
+
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    one = SimpleNamespace(
+        name="wall",
+        url=f"http://127.0.0.1:{server.server_port}/a.tar.gz",
+        file="wall.bin",
+        sha256=hashlib.sha256(whole).hexdigest(),
+        size=len(whole),
+    )
+    monkeypatch.setitem(samples.PUBLIC, "wall", one)
+    monkeypatch.setenv(samples.CACHE_VARIABLE, str(tmp_path / "cache"))
+    yield SimpleNamespace(one=one, asked=asked, cut=cut, cloud=cloud)
+    server.shutdown()
+
+
+def test_a_public_cloud_is_downloaded_once_and_again_if_it_is_damaged(host, tmp_path):
+    for _ in range(2):
+        assert samples.fetch("wall").read_bytes() == host.cloud
+    assert host.asked == [None]
+    samples.fetch("wall").write_bytes(b"damaged")
+    assert samples.fetch("wall").read_bytes() == host.cloud
+    (archive,) = (tmp_path / "cache").glob("*.tar.gz")
+    archive.write_bytes(archive.read_bytes()[:-1])
+    assert samples.fetch("wall").read_bytes() == host.cloud
+    assert host.asked == [None, None]
+
+
+def test_an_interrupted_download_goes_on_from_where_it_stopped(host):
+    host.cut.append(True)
+    with pytest.raises(OSError, match=r"Invalid (download of wall|address)"):
+        samples.fetch("wall")
+    host.cut.clear()
+    assert samples.fetch("wall").read_bytes() == host.cloud
+    assert host.asked == [None, f"bytes={host.one.size // 2}-"]
+
+
+def test_another_file_under_the_address_is_refused_and_not_kept(host, tmp_path):
+    host.one.sha256 = "0" * 64
+    with pytest.raises(ValueError, match="Invalid public cloud wall with SHA-256"):
+        samples.fetch("wall")
+    assert not [path for path in (tmp_path / "cache").iterdir() if path.is_file()]
+
+
+def test_no_network_is_a_sentence(host):
+    host.one.url = "http://127.0.0.1:9/none.tar.gz"
+    with pytest.raises(OSError, match=r"Invalid address .*: no answer\. Must be reachable once"):
+        samples.fetch("wall")
+    with pytest.raises(ValueError, match="public cloud 'walls'"):
+        samples.fetch("walls")
+
+
+def test_public_clouds_state_licence_hash_and_size():
+    for one in samples.PUBLIC.values():
+        assert min(map(len, (one.licence, one.origin, one.contents))) > 2
+        assert re.fullmatch("[0-9a-f]{64}", one.sha256)
+        assert re.fullmatch(r"(10\.\d+/.+)?", one.doi)
+        assert one.url.startswith("https://")
+        assert one.size > 1000
