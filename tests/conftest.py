@@ -128,6 +128,9 @@ def spoiled(stem, names):
             if not passed:
                 failed.append(statement)
 
+        def agrees(self, *cells):
+            return names.get("agrees", True)  # the ledger's verdict
+
     known = {**names, "run": Recorder()}
     for node in _statements(stem):
         is_import = isinstance(node, ast.Import | ast.ImportFrom)

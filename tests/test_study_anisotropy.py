@@ -64,6 +64,13 @@ def test_each_check_can_fail():
         "of_5": of_5,
         "heads": heads,
         "both": pd.Series({"f_smallest": 2.2, "f_largest": 2.2}),
+        "first": 0.8,
+        "second": 0.4,
+        "best": rules[0],
+        "apart": "intervals apart",
+        "of_f": of_5.loc[rules[2]],
+        "of_g": of_5.loc[rules[3]],
+        "least": 2.9,
     }
     assert spoiled("anisotropy", whole) == []
     changes = {
@@ -72,7 +79,7 @@ def test_each_check_can_fail():
         "f does not see": {"uneven": 1.3},
         "g orders": {"pair": ranks[::-1]},
         "For details of 5 cm e95": {"of_5": of_5.assign(low=[0.4, 0.4, 0.8, 0.4])},
-        "For details of 5 cm f": {"of_5": of_5.assign(low=[0.8, 0.4, 0.4, 0.4])},
+        "For details of 5 cm f": {"of_f": of_5.loc[rules[3]]},
         "Two crossing": {"both": heads.iloc[0]},
     }
     for words, change in changes.items():

@@ -49,7 +49,7 @@ def test_each_check_can_fail():
     assert spoiled("chart_tables", whole) == []
     changes = {
         "Two scan heads": {"f": whole["f"].replace(2.2, 2.95)},
-        "Over both distances": {"polygon": whole["polygon"] * np.array([3, 1, 1, 1])},
+        "The polygon's density": {"polygon": whole["polygon"] * np.array([3, 1, 1, 1])},
         "Every printed f": {"within": pd.Series([True] * 5 + [False])},
     }
     for words, change in changes.items():

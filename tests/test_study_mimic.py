@@ -85,10 +85,12 @@ def test_checks_of_the_notebook_fail_with_other_numbers():
     false = {"table_3": pd.DataFrame({"agrees": [True, False]}), "worst": 1e-3, "moving": 1e-3}
     false |= {"most": 7, "together": 9, "off": 0.1, "counted": 9, "expected": 10.0}
     false |= {"shares": pd.Series([0.95, 0.7]), "slack": 0.06, "scans": 290}
-    assert len(spoiled("mimic", false | {"obtained": ""})) == 6
+    false |= {"printed_cells": []}
+    assert len(spoiled("mimic", false)) == 6
     true = false | {"table_3": pd.DataFrame({"agrees": [True]}), "worst": 1e-9, "moving": 1e-9}
-    true |= {"most": 6, "off": 0.001, "shares": pd.Series([0.95, 0.93]), "obtained": ""}
+    true |= {"most": 6, "off": 0.001, "shares": pd.Series([0.95, 0.93])}
     assert not spoiled("mimic", true)
+    assert len(spoiled("mimic", true | {"agrees": False})) == 1
     assert len(spoiled("mimic", true | {"together": 8})) == 1
 
 

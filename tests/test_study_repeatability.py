@@ -91,22 +91,25 @@ def test_each_check_can_fail():
     parts = pd.Series({"density": 0.01, "f": 0.02})
     whole = {
         "of_selections": parts,
-        "precise": 100.0,
+        "precise": pd.Series([100.0, 100.0]),
         "dense": pd.Series([40.0, 60.0]),
-        "worst": 0.93,
+        "worst": pd.Series({"covered": 0.93, "figure": "f", "pattern": "poisson"}),
         "least": 0.86,
         "coverage_scans": 100,
         "ratio": pd.Series([1.0, 1.05]),
+        "ratio_mean": 1.02,
         "grown": 8.0,
         "off": 0.05,
     }
     assert spoiled("repeatability", whole) == []
     changes = {
         "Systems and distances": {"of_selections": parts + 0.2},
-        "Five simulated selections of B at 10 m: precision": {"precise": 50.0},
+        "Five simulated selections of B at 10 m: precision": {"agrees": False},
         "Five simulated selections of B at 10 m: the density": {"dense": pd.Series([95.0, 99.0])},
-        "The intervals": {"worst": 0.6},
-        "The spread of the density": {"ratio": pd.Series([1.5, 1.6])},
+        "The intervals": {
+            "worst": pd.Series({"covered": 0.6, "figure": "f", "pattern": "poisson"})
+        },
+        "The spread of the density": {"ratio_mean": 1.55},
         "Strays": {"off": 0.4},
     }
     for words, change in changes.items():
