@@ -525,10 +525,10 @@ def directional(xy: ArrayLike, *, radius: float = 0.5) -> DirectionalSpacing:
     extent = np.ptp(xy, axis=0)
     limit = 3 * max(np.sqrt(np.prod(extent) / len(xy)), extent.max() / len(xy), 1e-9)
     rows = np.sort(np.random.default_rng(0).permutation(len(xy))[:MOST_DIRECTED])
-    medians, reach = np.array(np.inf), 16
+    medians, reach, tree = np.array(np.inf), 16, _tree(xy)
     while np.isinf(medians).any():  # points beyond the medians cannot change them
         limit = min(limit, radius)
-        nearest = _nearest(xy, rows, limit, reach, len(directions), _by_direction)
+        nearest = _nearest(xy, tree, rows, limit, reach, len(directions), _by_direction)
         # faster than a median
         middle = np.sort(nearest.T)[:, [(len(rows) - 1) // 2, len(rows) // 2]]
         medians = middle.mean(axis=1)
@@ -641,8 +641,6 @@ def empty_space(xy: ArrayLike, *, outline: object = None, rank: int = 1) -> Empt
     >>> round(empty_space(xy).e95, 3)  # 95 % of half the gap
     0.019
     """
-    from scipy.spatial import cKDTree
-
     xy, rank = flat_points(xy), check_count(rank, "rank")
     if outline is None:
         outline = shapely.convex_hull(shapely.multipoints(xy))
@@ -652,7 +650,7 @@ def empty_space(xy: ArrayLike, *, outline: object = None, rank: int = 1) -> Empt
     count = EMPTY_PLACES * min(100, np.prod(high - low) / max(outline.area, 1e-300))
     places = np.outer(np.arange(count if outline.area else 0), STEPS) % 1 * (high - low) + low
     places = places[shapely.contains_xy(outline, *places.T)]
-    distances = cKDTree(xy - low, balanced_tree=False).query(places - low, [rank])[0][:, 0]
+    distances = _tree(xy - low).query(places - low, [rank])[0][:, 0]
     return EmptySpace(places, distances, _to_border(places - low, outline, low))
 
 
@@ -773,20 +771,25 @@ def _nearest_per_quadrant(xy, radius, of):
 
 def _nearest_by_scipy(xy, radius):
     """Sorted distances to the nearest point in each quadrant, NaN last."""
-    found = _nearest(xy, np.arange(len(xy)), radius, 16, 4, _by_quadrant)
+    found = _nearest(xy, _tree(xy), np.arange(len(xy)), radius, 16, 4, _by_quadrant)
     return np.where(np.isinf(found), np.nan, found)
 
 
-def _nearest(xy, rows, radius, reach, ranks, fold):
+def _tree(xy):
+    """A tree of points that is quickly made."""
+    from scipy.spatial import cKDTree
+
+    return cKDTree(xy, balanced_tree=False, compact_nodes=False)
+
+
+def _nearest(xy, tree, rows, radius, reach, ranks, fold):
     """Return the result of ``fold`` for the neighbours of the points in rows, (len(rows), ranks).
 
     ``fold`` takes the distances of the k nearest points (rows, k), infinite beyond the radius and
     for the point itself, and their offsets x + iy (rows, k). If a result is infinite, ``fold`` is
     called again with more neighbours.
     """
-    from scipy.spatial import cKDTree
-
-    tree, found = cKDTree(xy, balanced_tree=False), np.empty((len(rows), ranks))
+    found = np.empty((len(rows), ranks))
     places = np.append(xy[:, 0] + 1j * xy[:, 1], np.inf)  # scipy gives the last if there is none
     waiting = _portions(np.arange(len(rows)), min(reach, len(xy)))
     while waiting:
