@@ -223,3 +223,14 @@ def test_the_lesson_plan_takes_the_notebooks_minutes(study):
     (plan,) = [cell.source for cell in cells if "lesson" in cell.metadata.get("tags", [])]
     steps = re.findall(r"^\| (\d+) \|", plan, re.MULTILINE)
     assert sum(map(int, steps)) == int(times or 1) * int(each)
+
+
+def test_a_notebook_that_fails_is_named_with_its_cause(tmp_path, monkeypatch, capfd):
+    monkeypatch.setattr(students, "execute", lambda *_, **__: "KeyError: 'rho'")
+    with pytest.raises(
+        ValueError, match=r"Invalid notebook .*mimic\.ipynb: KeyError: 'rho'\. Must"
+    ):
+        students.answer_table(chosen(["mimic"])[0])
+    words = ["student", str(tmp_path / "a"), "mimic", "--sheets", str(tmp_path / "b")]
+    assert main(words) == 2
+    assert "mimic.ipynb: KeyError: 'rho'. Must run to its end." in capfd.readouterr().err

@@ -275,8 +275,8 @@ def answer_table(study, *, quick=False):
 
     Raises
     ------
-    RuntimeError
-        If a cell fails.
+    ValueError
+        If a cell fails; names the notebook and the cell's error.
     """
     notebook = nbformat.read(study.path, as_version=4)
     if quick:
@@ -293,7 +293,8 @@ def answer_table(study, *, quick=False):
     with tempfile.TemporaryDirectory() as folder:
         failure = execute(notebook, study.path.parent, results=folder)
     if failure:
-        raise RuntimeError(f"{study.notebook}: {failure}")
+        cause = f"{study.notebook}.ipynb: {failure}"
+        raise ValueError(f"Invalid notebook {cause}. Must run to its end.")
     table = pd.DataFrame(json.loads(tail.outputs[-1]["text"]))
     return table.dropna(axis=1, thresh=2)
 

@@ -209,6 +209,8 @@ FAULTS = (
     ("run", 'remove_input_tags={"results"}', "remove_input_tags=set()", "test_run.py"),
     ("run", 'f"{seen} Numbers: {kind}."', "seen", "test_run.py"),
     ("run", 'os.environ.get("JPY_SESSION_NAME", "")', '""', "test_run.py"),
+    ("run", 'ValueError(f"Invalid notebook {cause}', 'RuntimeError(f"{cause}',
+     "test_students.py"),
     ("spacing", "_compared_in_two(0, 0, 3, BELOW_ZERO)", "_compared_in_two(0, 0, 3, 0.0)",
      "test_spacing.py"),
     ("spacing", "if other[0] > own[2]:", "if other[0] >= own[2]:", "test_spacing.py"),
