@@ -358,6 +358,36 @@ def test_what_is_less_than_five_times_as_high_as_wide_is_no_pole(wide, reason, r
     assert set(every["rejected_by"]) - {"duplicate", "length", "tilt"} == {reason}
 
 
+def test_a_flat_face_has_a_section_and_no_diameter(rng):
+    side, rise = np.meshgrid(np.linspace(-0.04, 0.04, 15), np.arange(0, 3, 0.05))
+    face = np.column_stack([side.ravel() + 0.5, 0 * side.ravel() + 1, rise.ravel()])
+    points = np.vstack([floor(), face])
+    one = poles.detect(points + rng.normal(0, 0.002, points.shape)).squeeze()
+    assert np.isnan(one["diameter_m"])
+    assert one["section_m"] == pytest.approx(0.08, abs=0.01)
+
+
+def test_poles_that_are_high_as_in_feet_are_said():
+    posts = [post(2.0 * k - 5, 0, radius=0.2, height=10.0)[0] for k in range(6)]
+    points = np.concatenate([floor(16.0), *posts])
+    with pytest.warns(UserWarning, match=r"Half of the 6 poles are higher .* coordinates in feet"):
+        poles.detect(points, method="itc")
+
+
+def test_profiles_along_poles_are_said():
+    rise, place = np.meshgrid(np.arange(0, 3, 0.05), np.linspace(-0.5, 0.5, 8))
+    points = np.column_stack([place.ravel(), 0 * rise.ravel(), rise.ravel()])
+    columns = {"scan_line": np.repeat(np.arange(8), 60), "pulse": np.tile(np.arange(60), 8)}
+    with pytest.warns(UserWarning, match="8 upright stretches .* profiles run along poles"):
+        poles.detect(Cloud(points, columns), method="fgi")
+
+
+def test_a_cloud_of_too_many_cells_is_refused(monkeypatch):
+    monkeypatch.setattr(common, "MOST_GROUND_CELLS", 100)
+    with pytest.raises(ValueError, match="Invalid cloud of 12 m by 12 m without its gaps"):
+        poles.detect(floor())
+
+
 def test_feet_are_refused_by_the_coordinate_system():
     cloud = Cloud(floor(2.0), crs=pyproj.CRS("EPSG:2263"))
     with pytest.raises(ValueError, match="Invalid cloud in US survey foot"):

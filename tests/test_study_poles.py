@@ -91,6 +91,8 @@ def test_differences_are_those_of_the_same_streets(counted):
     assert one["other"] == "itc"
     assert one["less"] == pytest.approx(rates["value"]["fgi"] - rates["value"]["itc"])
     assert one["low"] <= one["less"] <= one["high"]
+    worse = counted.assign(hits_30=counted["hits_30"].where(counted["method"] == "fgi", 0))
+    assert study.differences(worse, "fgi")["less"][0] == pytest.approx(rates["value"]["fgi"])
     single = study.differences(counted.isel(seed=[0]), "itc")
     assert single["low"].isna().all()
     same = counted.assign({name: counted[name].sel(method="fgi") + 0 * counted[name] for name in
@@ -190,8 +192,12 @@ def test_paired_differences_are_those_of_mcnemar():
 def test_pillars_of_gates_are_no_poles():
     points, _, _, truth, path, street = gated_street.looked_at(954, "tilted profiler", 30.0)
     found = poles.detect(points)
+    score = poles.score(found, truth, corridor=30, trajectory=path)
     # 10 poles: loose on purpose, the benchmark measures
-    assert poles.score(found, truth, corridor=30, trajectory=path).recall.value > 0.85
+    assert score.recall.value > 0.85
+    round_ = score.hits["diameter_m"].notna()
+    assert round_.sum() >= 3
+    assert score.hits["distance_m"][round_].max() < 0.05
     pillars = pd.DataFrame(np.array(street.pillars)[:, :2], columns=["x_m", "y_m"])
     assert len(pillars) >= 4
     assert poles.score(found, pillars).recall.k <= 1
