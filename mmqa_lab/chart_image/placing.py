@@ -11,7 +11,6 @@ then say where it is.
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from itertools import combinations
@@ -556,9 +555,8 @@ def _aligned(image, layout, chart_map, *, bent):
     chart_map = _straight(chart_map, layout)
     level = _Level(image, layout, chart_map, max(finest, 12))
     chart_map, _ = level.aligned(chart_map)
-    blurred = [level.blurred(sigma) for sigma in SIGMAS_PX]
-    level = max(blurred, key=lambda level: level.correlation(chart_map))
-    chart_map, _ = level.aligned(chart_map)
+    sigma = max(SIGMAS_PX, key=lambda sigma: level.behind(sigma).correlation(chart_map))
+    chart_map, _ = level.behind(sigma).aligned(chart_map)
     chart_map = _straight(level.bent(chart_map) if bent else chart_map, layout)
     return chart_map, level.correlation(chart_map)
 
@@ -574,9 +572,9 @@ class _Level:
     Both are divided by their own local mean and spread, so that light and shadow do not count.
     """
 
-    def __init__(self, image, layout, chart_map, along, sigma_px=SIGMAS_PX[0]):
+    def __init__(self, image, layout, chart_map, along):
         outline, size = chart_map.outline(layout.corners()), np.array(image.shape[::-1])
-        self.layout, self.pixel_mm = layout, _pixel_mm(layout, chart_map)
+        self.size, self.pixel_mm = (layout.width, layout.height), _pixel_mm(layout, chart_map)
         self.cell = layout.width / along
         soft = max(self.cell / self.pixel_mm / 2.5, 0.3)
         # a homography may move by a tenth of the chart
@@ -586,22 +584,17 @@ class _Level:
         window = image[first[1] : last[1], first[0] : last[0]].astype(np.float32)
         self.image = cv2.GaussianBlur(window, (0, 0), soft)
         self.first, self.last = first, size - 1
-        self.printed, self.trusted = self._printed(sigma_px)
-        y, x = (np.indices(self.printed.shape) + 0.5) * self.cell
+        self.print = _print(layout, self.cell)
+        self.trusted = _trusted(layout, self.pixel_mm, self.cell, self.print.shape)
+        y, x = (np.indices(self.print.shape) + 0.5) * self.cell
         self.places = np.column_stack([x.ravel(), y.ravel()])
+        self.behind(SIGMAS_PX[0])
 
-    def _printed(self, sigma_px):
-        """The standardised print behind a point spread, and which cells may take part."""
-        printed = _print(self.layout, self.cell)
+    def behind(self, sigma_px):
+        """The level itself, its print as behind a point spread."""
         blur = np.hypot(sigma_px * self.pixel_mm / self.cell, 0.5)
-        trusted = _trusted(self.layout, self.pixel_mm, self.cell, printed.shape)
-        return _standardised(cv2.GaussianBlur(printed, (0, 0), blur)), trusted
-
-    def blurred(self, sigma_px):
-        """The level with another point spread of the print."""
-        other = copy(self)
-        other.printed, _ = self._printed(sigma_px)
-        return other
+        self.printed = _standardised(cv2.GaussianBlur(self.print, (0, 0), blur))
+        return self
 
     def seen(self, chart_map):
         """The photograph as a map puts it, and which cells count."""
@@ -640,9 +633,8 @@ class _Level:
         Blocks of the chart ask for shifts (Lucas and Kanade); those that differ from the print,
         behind a post or at a shadow's edge, count little.
         """
-        size = self.layout.width, self.layout.height
-        places = (np.indices((BLOCKS, BLOCKS))[::-1].reshape(2, -1).T + 0.5) / BLOCKS * size
-        design = polyvander2d(*_unit(places, size), (3, 3))[:, CUBIC]
+        places = (np.indices((BLOCKS, BLOCKS))[::-1].reshape(2, -1).T + 0.5) / BLOCKS * self.size
+        design = polyvander2d(*_unit(places, self.size), (3, 3))[:, CUBIC]
         for _ in range(8):
             seen, trusted = self.seen(chart_map)
             # close to the chart's edge, pixels see what is beyond
@@ -656,7 +648,7 @@ class _Level:
             terms = terms.reshape(4, 4, 2)
             if chart_map.bend is not None:
                 terms = terms + chart_map.bend.terms
-            chart_map = replace(chart_map, bend=Bend(size, terms))
+            chart_map = replace(chart_map, bend=Bend(self.size, terms))
             if gain < 1 or far < 0.02:
                 break
         return chart_map
