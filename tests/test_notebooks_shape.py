@@ -8,7 +8,11 @@ import pytest
 
 from mmqa_lab.studies import STUDIES, TOOLS
 
-DONE = {"chart_tables", "repeatability", "anisotropy", "lhd_weight", "mimic"}
+DONE = {
+    "chart_tables", "repeatability", "anisotropy", "lhd_weight", "mimic", "test_field",
+    "image_resolution", "chart_images", "specifications", "image_radiometry", "fitness",
+    "metric_cards",
+}  # fmt: skip
 """Stems of the notebooks that have this form."""
 
 LINES, WIDTH, WORDS = 25, 100, 120
