@@ -12,6 +12,8 @@ vertical.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
@@ -23,22 +25,37 @@ from mmqa_lab._checks import check_positive
 from mmqa_lab._results import Shown, about
 from mmqa_lab.lines.pairing import Pairs, apart, levers
 from mmqa_lab.lines.segments import components, from_common_origin, lengths, midpoints
+from mmqa_lab.rotations import across
 
 __all__ = ["Displacement", "fit_displacement", "match_displaced"]
 
 TURN_RAD = np.radians(1.0)
 """Prior standard deviation of the rotation about the vertical."""
 
-HYPOTHESES = 2000
-"""Number of displacements tried."""
+STEP_M, FINE_M, FINE_RADIUS_M = 0.3, 0.15, 1.5
+"""Steps of the displacements tried, first and about the path found, and how far from it."""
+
+STATION_M, MOST_STATIONS, AGREE = 5.0, 60, 1.7
+"""Distance of stations, their number, and the distance in steps within which lines agree."""
+
+CHANGE, USUAL_CHANGE = 0.06, 0.05
+"""Largest change of the displacement with the distance from the middle (a turn of 3.4 degrees), and
+its usual change from station to station, m/m."""
+
+TURNS = np.radians([-3, -1.5, 0, 1.5, 3])
+"""Turns tried between the lines on both sides of the path."""
+
+VOTE = 2.5
+"""Log likelihood ratio of one vote."""
+
+FIRST_NOISE_M = 0.3
+"""Deviations from the path with which the pairs are sought first."""
 
 CLUTTER_PER_M2, LEFT_M = 0.1, 0.08
 """Density of unrelated parallel lines; standard deviation of drift that neighbours do not show."""
 
-LEAST_SHARE, LEAST_EVIDENCE = 0.18, 2.2
-"""Least share of the smaller set that is paired, and least evidence per pair. Chosen on simulated
-canyons and rows of windows: 8 of 435 right answers are refused, and 6 of 424 are accepted where the
-sets are displaced by another 8 to 25 m."""
+LEAST_LEAD, LEAST_EVIDENCE = 2.0, 2.2
+"""Least lead of a path in votes, and least evidence per pair."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,64 +213,153 @@ def match_displaced(test: ArrayLike, model: ArrayLike, *, radius: float = 4.0) -
     test, model = from_common_origin(test, model)
     radius = check_positive(radius, "radius", unit="m")
     lines = _candidates(test, model, radius)
-    shifts, scores = _hypotheses(lines, radius)
-    outcomes = [_refined(lines, start) for start in _starts(shifts, scores)]
-    nothing = 0.0, np.zeros((len(test), len(model)), dtype=bool)
-    evidence, pairs = max([nothing, *outcomes], key=lambda outcome: outcome[0])
-    by_chance = evidence < LEAST_EVIDENCE * pairs.sum()
-    if by_chance or pairs.any(axis=1).sum() < LEAST_SHARE * min(pairs.shape):
-        pairs = nothing[1]
+    pairs = np.zeros(lines.shape, dtype=bool)
+    if len(lines.rows) >= 3:
+        search = _Search(lines, radius)
+        path = search.path()
+        tries = [_retraced(lines, search, path, turn) for turn in TURNS]
+        evidence, found = _refined(lines, max(tries, key=lambda tried: tried[0])[1])
+        if search.lead >= LEAST_LEAD and evidence >= LEAST_EVIDENCE * found.sum():
+            pairs = found
     return fit_displacement(test, model, pairs)
 
 
 def _candidates(test, model, radius):
-    """Pairs of nearly parallel lines within the radius, or within reach of a turn beyond it."""
+    """Pairs of nearly parallel lines within the radius, or farther off the middle within reach."""
     parts, size = components(test, model), (lengths(test)[:, None], lengths(model))
     parallel = parts.angle < np.sin(np.radians(8)) * np.minimum(*size)
     gap = np.abs(parts.shift) - (size[0] + size[1]) / 2
-    # a turn about the vertical moves the outer lines farther than their middle
     centre = midpoints(test).sum(axis=0) / max(len(test), 1)
-    reach = radius + 2 * TURN_RAD * np.linalg.norm(midpoints(test) - centre, axis=1)[:, None]
+    reach = radius + CHANGE * np.linalg.norm(midpoints(test) - centre, axis=1)[:, None]
     near = parallel & (parts.perpendicular < reach) & (gap < reach)
     return Pairs(test, model, *np.nonzero(near))
 
 
-def _hypotheses(lines, radius):
-    """Displacements (k, 3) from pairs of crossing lines, and the number of lines each unites."""
-    if len(lines.rows) < 3:
-        return np.empty((0, 3)), np.empty(0)
-    normal = np.einsum("nkd,nke->nde", lines.frame, lines.frame)
-    right = np.einsum("nkd,nk->nd", lines.frame, lines.offset)
-    a, b = np.random.default_rng(0).integers(len(lines.rows), size=(2, 8 * HYPOTHESES))
-    use = (lines.rows[a] != lines.rows[b]) & (lines.columns[a] != lines.columns[b])
-    # lines within 40 m of each other have a similar displacement
-    use &= np.linalg.norm(lines.place[a] - lines.place[b], axis=1) < 40
-    use &= np.linalg.norm(np.cross(lines.axis[a], lines.axis[b]), axis=1) > 0.5
-    a, b = a[use][:HYPOTHESES], b[use][:HYPOTHESES]
-    shifts = np.linalg.solve(normal[a] + normal[b], (right[a] + right[b])[..., None])[..., 0]
-    shifts = shifts[np.linalg.norm(shifts, axis=1) < radius]
-    first = np.flatnonzero(np.r_[True, np.diff(lines.rows) > 0])
-    scores = []
-    for part in np.array_split(shifts, len(shifts) // 200 + 1):
-        off = lines.offset[..., None] - lines.frame @ part.T
-        # lines within 0.35 m agree; each test line counts once
-        agree = np.maximum(0, 1 - (off**2).sum(axis=1) / 0.35**2)
-        scores.append(np.maximum.reduceat(agree, first).sum(axis=0))
-    return shifts, np.concatenate(scores)
+class _Search:
+    """Displacement that changes along the test set, of all such paths the one with most votes.
+
+    Every test line votes at its station, along the longer side of the set, for the displacements
+    that bring it to a model line. Changes cost votes. Dynamic programming finds the best path.
+    ``lead`` is the number of votes by which it exceeds the best path that is elsewhere everywhere.
+    """
+
+    def __init__(self, lines, radius, moved=None):
+        step = STEP_M if moved is None else FINE_M
+        places = midpoints(lines.test) - midpoints(lines.model).mean(axis=0)
+        self.centre = places.mean(axis=0)
+        flat = (places - self.centre)[:, :2]
+        self.way = np.linalg.eigh(flat.T @ flat)[1][:, 1]
+        along = self.along(places)
+        self.low, self.high = along.min(), along.max() + 1e-9
+        number = int(min(np.ceil((self.high - self.low) / STATION_M), MOST_STATIONS)) + 1
+        self.stations, gap = np.linspace(self.low, self.high, number, retstep=True)
+        # multiples of 1 / 1024 have sums that do not depend on the order of rows
+        shares = np.maximum(0, 1 - np.abs(along - self.stations[:, None]) / gap)
+        shares = np.round(32 * shares).astype(np.float32) / 32
+        reach = radius + CHANGE * np.abs(self.stations) * (moved is None)
+        wide, high = (int(np.ceil(most / step)) for most in (reach.max(), radius))
+        self.shape = 2 * wide + 1, 2 * wide + 1, 2 * high + 1
+        self.moves = step * (np.indices(self.shape).reshape(3, -1).T - [wide, wide, high])
+        votes = _votes(lines, moved, self.moves, step, shares)
+        votes[np.linalg.norm(self.moves, axis=1) > reach[:, None]] = -np.inf
+        self.votes, self.steps = votes, step * np.arange(1, 3) / gap
+
+    def path(self):
+        """Vectors (stations, 3) of the best path of the displacement."""
+        costs = (self.steps / USUAL_CHANGE) ** 2 / 2 / VOTE
+        there, back = self._best(self.votes, costs), self._best(self.votes[::-1], costs)[::-1]
+        total = there + back - np.maximum(self.votes, 0)
+        vectors, others = self.moves[total.argmax(axis=1)], self.votes.copy()
+        for vector, vote in zip(vectors, others, strict=True):
+            vote[((self.moves - vector) ** 2).sum(axis=1) < 0.8**2] = -np.inf
+        self.votes_won = total.max()
+        self.lead = self.votes_won - self._best(others, costs)[-1].max()
+        return vectors
+
+    def straight(self, path):
+        """A path whose displacement changes evenly."""
+        powers = np.vander(self.stations, 2)
+        return powers @ np.linalg.pinv(powers) @ path
+
+    def along(self, places):
+        """Position of places along the longer side, m from the middle."""
+        return (places - self.centre)[:, :2] @ self.way
+
+    def at(self, places, path, turn):
+        """Displacement (n, 3) of a path at places (n, 3), with a turn of what is beside it."""
+        along = self.along(places)
+        beside = (places - self.centre)[:, :2] - along[:, None] * self.way
+        moved = [np.interp(along, self.stations, axis) for axis in path.T]
+        return np.stack(moved, axis=1) + turn * levers(beside)
+
+    def _best(self, votes, costs):
+        """Votes of the best path to each displacement at each station, (stations, moves)."""
+        paths = votes.copy()
+        for before, here in pairwise(paths):
+            here += _changed(before.reshape(self.shape), costs).ravel()
+        return paths
 
 
-def _starts(shifts, scores):
-    """The five displacements that unite most lines, at least 0.4 m apart."""
-    starts, left = [], shifts[np.argsort(-scores, kind="stable")]
-    while len(left) and len(starts) < 5:
-        starts.append(left[0])
-        left = left[np.linalg.norm(left - left[0], axis=1) > 0.4]
-    return starts
+def _changed(values, costs):
+    """Best value of the neighbours of each displacement, less the cost of the change."""
+    for axis in range(3):
+        old = np.moveaxis(values, axis, 0)
+        new = old.copy()
+        for k, cost in enumerate(costs.astype(np.float32), 1):
+            np.maximum(new[k:], old[:-k] - cost, out=new[k:])
+            np.maximum(new[:-k], old[k:] - cost, out=new[:-k])
+        values = np.moveaxis(new, 0, axis)
+    return values
+
+
+def _votes(lines, moved, moves, step, shares):
+    """Votes (stations, moves) of the test lines, which have shares (stations, lines) in stations.
+
+    A line does not feel a displacement along itself. So it votes in a plane, and lines of about one
+    direction share this plane.
+    """
+    votes = np.zeros((len(shares), len(moves)), dtype=np.float32)
+    offset = lines.offset
+    if moved is not None:
+        offset = offset - np.einsum("nkd,nd->nk", lines.frame, moved)
+    beside = int(AGREE) + 1
+    stamp = np.indices((2 * beside + 1,) * 2).reshape(2, -1).T - beside
+    half = int(np.linalg.norm(moves, axis=1).max() / step) + 1
+    side = 2 * half + 1
+    left = np.arange(len(lines.rows)) if moved is None else np.flatnonzero(lines.overlap >= 0.18)
+    longest = np.argsort(-lines.half[1], kind="stable")
+    while len(left):
+        first = longest[np.isin(longest, left)][0]
+        alike = np.abs(lines.axis[left] @ lines.axis[first]) > np.cos(np.radians(10))
+        mine, left = left[alike], left[~alike]
+        frame = across(np.linalg.eigh(lines.axis[mine].T @ lines.axis[mine])[1][:, 2:].T)[0]
+        off = np.einsum("nk,nkd,ed->ne", offset[mine], lines.frame[mine], frame) / step
+        cells = np.round(off).astype(int)[:, None] + stamp
+        value = 1 - ((cells - off[:, None]) ** 2).sum(axis=2) / AGREE**2
+        rows, row = np.unique(lines.rows[mine], return_inverse=True)
+        inside = (value > 0) & (np.abs(cells) <= half).all(axis=2)
+        place = (row[:, None] * side + cells[..., 0] + half) * side + cells[..., 1] + half
+        each = np.zeros((len(rows), side * side), dtype=np.float32)
+        np.maximum.at(each.ravel(), place[inside], np.round(32 * value[inside]) / 32)
+        at = np.round(moves @ frame.T / step).astype(int) + half
+        votes += (shares[:, rows] @ each)[:, at[:, 0] * side + at[:, 1]]
+    return votes
+
+
+def _retraced(lines, search, path, turn):
+    """Votes of a finer path about the straight one next to a path, and its displacement."""
+    straight = search.straight(path)
+    moved = search.at(lines.place, straight, turn)
+    lines = lines.again(moved)
+    fine = _Search(lines, FINE_RADIUS_M, search.at(lines.place, straight, turn))
+    around = np.pad(straight + fine.path(), ((1, 1), (0, 0)), mode="edge")
+    smooth = (around[:-2] + 2 * around[1:-1] + around[2:]) / 4
+    return fine.votes_won, partial(search.at, path=smooth, turn=turn)
 
 
 def _refined(lines, start):
     """Evidence and pairs from a start, by alternate updates of pairs and displacement."""
-    moved, noise = np.broadcast_to(start, (len(lines.rows), 3)), 0.3
+    moved, noise = start(lines.place), FIRST_NOISE_M
     outcome = 0.0, np.zeros(lines.shape, dtype=bool)
     for _ in range(10):
         lines = lines.again(moved)
@@ -270,25 +376,27 @@ def _refined(lines, start):
         ratio = -squares[members] / 2 - np.log(2 * np.pi * variance * CLUTTER_PER_M2)
         outcome = ratio.sum(), pairs
         noise = np.clip(np.median(np.abs(off[members])) * 1.48, 0.03, noise)
-        moved = _field(lines, members, noise)
+        moved = _field(lines, start(lines.place), members, noise)
     return outcome
 
 
-def _field(lines, members, noise):
-    """Displacement (n, 3) at all pairs, each from the other pairs.
+def _field(lines, path, members, noise):
+    """Displacement (n, 3) at all pairs, each from the other pairs: the path and what is left of it.
 
-    Drift has a standard deviation of 0.25 m and a correlation length of 30 m.
+    What is left is a vector, a turn, and drift with a standard deviation of 0.25 m and a
+    correlation length of 20 m.
     """
     frame, place = lines.frame[members], lines.place[members]
     centre = place.mean(axis=0)
+    off = lines.offset[members] - np.einsum("nkd,nd->nk", frame, path[members])
     design = lines.design(centre)[members]
     prior = noise**2 * np.diag([1e-6, 1e-6, 1e-6, 1 / TURN_RAD**2])
     normal = np.einsum("nkd,nke->de", design, design) + prior
-    mean = np.linalg.solve(normal, np.einsum("nkd,nk->d", design, lines.offset[members]))
-    steady = mean[:3] + mean[3] * levers(lines.place - centre)
-    felt = np.exp(-cdist(lines.place, place) / 30)
+    mean = np.linalg.solve(normal, np.einsum("nkd,nk->d", design, off))
+    felt = np.exp(-cdist(lines.place, place) / 20)
     felt[members, np.arange(len(members))] = 0
-    pulls = felt @ np.einsum("nkd,nk->nd", frame, lines.offset[members] - design @ mean)
+    pulls = felt @ np.einsum("nkd,nk->nd", frame, off - design @ mean)
     holds = np.tensordot(felt, frame.swapaxes(1, 2) @ frame, 1)
     holds += (noise / 0.25) ** 2 * np.eye(3)
+    steady = path + mean[:3] + mean[3] * levers(lines.place - centre)
     return steady + np.linalg.solve(holds, pulls[..., None])[..., 0]
