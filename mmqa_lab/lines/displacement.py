@@ -13,7 +13,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
+from itertools import islice, pairwise
+from operator import itemgetter
 
 import numpy as np
 import pandas as pd
@@ -54,8 +55,11 @@ FIRST_NOISE_M = 0.3
 CLUTTER_PER_M2, LEFT_M = 0.1, 0.08
 """Density of unrelated parallel lines; standard deviation of drift that neighbours do not show."""
 
-LEAST_LEAD, LEAST_EVIDENCE = 2.0, 2.2
-"""Least lead of a path in votes, and least evidence per pair."""
+PATHS, ELSEWHERE_M = 3, 0.8
+"""Number of paths compared, and their least distance at each station."""
+
+LEAST_EVIDENCE, RIVAL = 20.0, 0.7
+"""Least evidence, and largest share of it that a path with other pairs may have."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,10 +220,13 @@ def match_displaced(test: ArrayLike, model: ArrayLike, *, radius: float = 4.0) -
     pairs = np.zeros(lines.shape, dtype=bool)
     if len(lines.rows) >= 3:
         search = _Search(lines, radius)
-        path = search.path()
-        tries = [_retraced(lines, search, path, turn) for turn in TURNS]
-        evidence, found = _refined(lines, max(tries, key=lambda tried: tried[0])[1])
-        if search.lead >= LEAST_LEAD and evidence >= LEAST_EVIDENCE * found.sum():
+        paths = [path for _, path in islice(search.paths(), PATHS)]
+        outcomes = sorted(
+            (_refined(lines, _retraced(lines, search, path)) for path in paths), key=itemgetter(0)
+        )
+        evidence, found = outcomes[-1]
+        others = [other for other, them in outcomes if (them & found).sum() < found.sum() / 2]
+        if evidence > max(LEAST_EVIDENCE, *others):
             pairs = found
     return fit_displacement(test, model, pairs)
 
@@ -236,11 +243,10 @@ def _candidates(test, model, radius):
 
 
 class _Search:
-    """Displacement that changes along the test set, of all such paths the one with most votes.
+    """Displacement that changes along the test set, the paths with most votes.
 
     Every test line votes at its station, along the longer side of the set, for the displacements
     that bring it to a model line. Changes cost votes. Dynamic programming finds the best path.
-    ``lead`` is the number of votes by which it exceeds the best path that is elsewhere everywhere.
     """
 
     def __init__(self, lines, radius, moved=None):
@@ -264,17 +270,16 @@ class _Search:
         votes[np.linalg.norm(self.moves, axis=1) > reach[:, None]] = -np.inf
         self.votes, self.steps = votes, step * np.arange(1, 3) / gap
 
-    def path(self):
-        """Vectors (stations, 3) of the best path of the displacement."""
-        costs = (self.steps / USUAL_CHANGE) ** 2 / 2 / VOTE
-        there, back = self._best(self.votes, costs), self._best(self.votes[::-1], costs)[::-1]
-        total = there + back - np.maximum(self.votes, 0)
-        vectors, others = self.moves[total.argmax(axis=1)], self.votes.copy()
-        for vector, vote in zip(vectors, others, strict=True):
-            vote[((self.moves - vector) ** 2).sum(axis=1) < 0.8**2] = -np.inf
-        self.votes_won = total.max()
-        self.lead = self.votes_won - self._best(others, costs)[-1].max()
-        return vectors
+    def paths(self):
+        """Yield votes and vectors (stations, 3) of the best path, of the best elsewhere, ..."""
+        costs, votes = (self.steps / USUAL_CHANGE) ** 2 / 2 / VOTE, self.votes.copy()
+        while np.isfinite(votes).any(axis=1).all():
+            there, back = self._best(votes, costs), self._best(votes[::-1], costs)[::-1]
+            total = there + back - np.maximum(votes, 0)
+            vectors = self.moves[total.argmax(axis=1)]
+            yield total.max(), vectors
+            for vector, vote in zip(vectors, votes, strict=True):
+                vote[((self.moves - vector) ** 2).sum(axis=1) < ELSEWHERE_M**2] = -np.inf
 
     def straight(self, path):
         """A path whose displacement changes evenly."""
@@ -346,15 +351,18 @@ def _votes(lines, moved, moves, step, shares):
     return votes
 
 
-def _retraced(lines, search, path, turn):
-    """Votes of a finer path about the straight one next to a path, and its displacement."""
-    straight = search.straight(path)
-    moved = search.at(lines.place, straight, turn)
-    lines = lines.again(moved)
-    fine = _Search(lines, FINE_RADIUS_M, search.at(lines.place, straight, turn))
-    around = np.pad(straight + fine.path(), ((1, 1), (0, 0)), mode="edge")
+def _retraced(lines, search, path):
+    """Displacement by the best finer path about the straight one next to a path."""
+    straight, tries = search.straight(path), []
+    for turn in TURNS:
+        moved = search.at(lines.place, straight, turn)
+        again = lines.again(moved)
+        fine = _Search(again, FINE_RADIUS_M, search.at(again.place, straight, turn))
+        tries.append((*next(fine.paths()), turn))
+    _, finer, turn = max(tries, key=itemgetter(0))
+    around = np.pad(straight + finer, ((1, 1), (0, 0)), mode="edge")
     smooth = (around[:-2] + 2 * around[1:-1] + around[2:]) / 4
-    return fine.votes_won, partial(search.at, path=smooth, turn=turn)
+    return partial(search.at, path=smooth, turn=turn)
 
 
 def _refined(lines, start):
