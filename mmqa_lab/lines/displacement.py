@@ -58,8 +58,12 @@ CLUTTER_PER_M2, LEFT_M = 0.1, 0.08
 PATHS, ELSEWHERE_M = 3, 0.8
 """Number of paths compared, and their least distance at each station."""
 
-LEAST_EVIDENCE, RIVAL = 20.0, 0.7
-"""Least evidence, and largest share of it that a path with other pairs may have."""
+LEAST_EVIDENCE, FEW_EVIDENCE, PER_SHARE = 2.2, 6.2, 8.0
+"""Least evidence per pair; where few lines are paired, less so much times their share of the
+smaller set. Chosen on 58 simulated rows of windows with few common lines, so no score there."""
+
+RIVAL = 0.9
+"""Largest evidence of a path with other pairs, as a share of the best one's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,12 +225,13 @@ def match_displaced(test: ArrayLike, model: ArrayLike, *, radius: float = 4.0) -
     if len(lines.rows) >= 3:
         search = _Search(lines, radius)
         paths = [path for _, path in islice(search.paths(), PATHS)]
-        outcomes = sorted(
-            (_refined(lines, _retraced(lines, search, path)) for path in paths), key=itemgetter(0)
-        )
-        evidence, found = outcomes[-1]
-        others = [other for other, them in outcomes if (them & found).sum() < found.sum() / 2]
-        if evidence > max(LEAST_EVIDENCE, *others):
+        outcomes = [_refined(lines, _retraced(lines, search, path)) for path in paths]
+        evidence, found = max(outcomes, key=itemgetter(0))
+        number = found.sum()
+        rivals = [other for other, them in outcomes if (them & found).sum() < number / 2]
+        share = found.any(axis=1).sum() / min(lines.shape)
+        least = number * max(LEAST_EVIDENCE, FEW_EVIDENCE - PER_SHARE * share)
+        if evidence > max([least, *(other / RIVAL for other in rivals)]):
             pairs = found
     return fit_displacement(test, model, pairs)
 
