@@ -5,6 +5,8 @@ import warnings
 import numpy as np
 import pytest
 import window_rows
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 from towns import town
 
@@ -323,6 +325,34 @@ def test_displaced_pairs_of_rows_of_windows_stand(seed, monkeypatch):
     table = lines.compare({"test": test, "model": model}, matcher="displaced")
     assert table["displaced_pairs"].tolist() == [found.test_model.n] * 2
     assert called == [1]
+
+
+HARD = [(0.0, 3), (0.3, -3), (0.8, 3), (0.8, -3), (0.8, 0), (0.5, 1.5), (0.8, 2), (0.8, -2)]
+"""Drift (m) and turn (degrees) of scenes displaced by 3 m."""
+
+
+def test_displaced_rows_of_windows_with_drift_are_matched_along_a_path():
+    f1 = []
+    for seed, (drift, turn) in enumerate(HARD, 400):
+        choices = {"drift": drift, "turn_deg": turn, "shift": 3.0, "share": 0.5, "length": 45.0}
+        test, model, truth, _ = window_rows.scene(seed, **choices)
+        match = match_displaced(test, model)
+        f1.append(pairing_scores(match.pairs, truth).f1)
+        right = lines.fit_displacement(test, model, truth).vector
+        assert np.linalg.norm(match.vector - right) < 0.5
+    assert np.mean(f1) >= 0.95
+
+
+@settings(max_examples=4, deadline=None)
+@given(st.integers(0, 10**6))
+def test_pairs_of_displaced_lines_do_not_depend_on_the_order_of_rows(seed):
+    rng = np.random.default_rng(seed)
+    test, model, _, _ = window_rows.scene(seed % 50, share=0.5, length=15.0, drift=0.3)
+    rows, columns = rng.permutation(len(test)), rng.permutation(len(model))
+    once = match_displaced(test, model)
+    again = match_displaced(test[rows], model[columns])
+    assert (once.pairs[np.ix_(rows, columns)] == again.pairs).all()
+    assert np.allclose(once.vector, again.vector, atol=1e-6, equal_nan=True)
 
 
 def test_many_weak_pairs_are_no_displacement():
