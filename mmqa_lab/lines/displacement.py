@@ -374,6 +374,7 @@ def _retraced(lines, search, path, turn):
 
 def _refined(lines, start):
     """Evidence and pairs from a start, by alternate updates of pairs and displacement."""
+    lines = lines.again(start(lines.place))
     moved, noise = start(lines.place), FIRST_NOISE_M
     off = lines.offset - np.einsum("nkd,nd->nk", lines.frame, moved)
     near = (off**2).sum(axis=1) < FINE_RADIUS_M**2
@@ -393,8 +394,6 @@ def _refined(lines, start):
             break
         # log likelihood ratio of true pairs to unrelated lines
         ratio = -squares[members] / 2 - np.log(2 * np.pi * variance * CLUTTER_PER_M2)
-        if (pairs == outcome[1]).all():
-            break
         outcome = ratio.sum(), pairs
         noise = np.clip(np.median(np.abs(off[members])) * 1.48, 0.03, noise)
         moved = _field(lines, start(lines.place), members, noise)
