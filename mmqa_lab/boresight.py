@@ -31,7 +31,7 @@ from scipy.spatial import cKDTree
 from scipy.special import stdtrit
 
 from mmqa_lab._checks import check_choice, check_columns, check_points
-from mmqa_lab._results import Shown
+from mmqa_lab._results import Shown, sentences
 from mmqa_lab.cloud import Cloud, group_axes
 from mmqa_lab.planes import fit_circle, sigma_mad
 from mmqa_lab.rotations import rotations
@@ -587,10 +587,12 @@ def _result(adjustment, values, lever, path_std_m, path_std_deg):
     table |= {"value": value, "std": std, "low": value - half, "high": value + half}
     ways = pd.DataFrame(adjustment.kinds[0].shots.rotation[:, :2, 1])
     ways = ways.groupby(adjustment.kinds[0].shots.drive).mean().to_numpy()
-    remarks = {
-        f"Errors of the paths' {missing} are not given: the intervals lack them.": missing != "",
-        "All drives run in one direction: an error of the mounting and one of the path look alike "
-        "there, so do not rely on these values.": (ways @ ways.T).min() > 0,
-    }
-    remark = " ".join(text for text, true in remarks.items() if true)
-    return Calibration(pd.DataFrame(table), lever, remark)
+    remarks = sentences(
+        (missing, f"Errors of the paths' {missing} are not given: the intervals lack them."),
+        (
+            (ways @ ways.T).min() > 0,
+            "All drives run in one direction: an error of the mounting and one of the path look "
+            "alike there, so do not rely on these values.",
+        ),
+    )
+    return Calibration(pd.DataFrame(table), lever, " ".join(remarks))

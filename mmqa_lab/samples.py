@@ -79,7 +79,7 @@ def fetch(name: str) -> Path:
     target = cache / f"{name}{Path(one.file).suffix}"
     with tarfile.open(archive) as opened:
         found = next(part for part in opened if part.name.partition("/")[2] == one.file)
-        content = opened.extractfile(found).read()
+        content = opened.extractfile(found).read()  # type: ignore[union-attr]  # it is a file
     write_atomically(target, lambda path: path.write_bytes(content))
     return target
 

@@ -35,6 +35,7 @@ from mmqa_lab._checks import (
     check_points,
     check_positive,
 )
+from mmqa_lab._results import sentences
 from mmqa_lab.planes import fit_circle, fit_line
 from mmqa_lab.stats import block_numbers, errors, mean_reach
 
@@ -110,15 +111,20 @@ def compare_heights(
         )
     counts = {r.replace(" ", "_"): int((table["reason"] == r).sum()) for r in REASONS[1:]}
     apart = counts["no_points"] + counts["not_surrounded"]
-    doubts = {
-        f"{apart} of {len(table)} reference points lie where the cloud has no surface: the units "
-        "or the coordinate systems may differ.": apart > len(table) / 2,
-        f"{len(valid)} differences; the ASPRS standards ask for 30 or more.": len(valid) < 30,
-        f"The median difference is {valid.median():+.2f} m; the two height systems may differ "
-        "(ellipsoid or geoid).": abs(valid.median()) > 1,
-    }
-    remarks = " ".join(text for text, applies in doubts.items() if applies)
-    return height_accuracy(table).assign(**counts, remarks=remarks), table
+    remarks = sentences(
+        (
+            apart > len(table) / 2,
+            f"{apart} of {len(table)} reference points lie where the cloud has no surface: the "
+            "units or the coordinate systems may differ.",
+        ),
+        (len(valid) < 30, f"{len(valid)} differences; the ASPRS standards ask for 30 or more."),
+        (
+            abs(valid.median()) > 1,
+            f"The median difference is {valid.median():+.2f} m; the two height systems may differ "
+            "(ellipsoid or geoid).",
+        ),
+    )
+    return height_accuracy(table).assign(**counts, remarks=" ".join(remarks)), table
 
 
 def height_differences(

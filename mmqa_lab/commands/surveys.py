@@ -134,8 +134,8 @@ def evaluate(
     from mmqa_lab import chart_cloud, io
 
     check_ending(out, "figure", FIGURE_ENDINGS)
-    turned = axes and re.fullmatch(r"-?(\d+\.?\d*|\.\d+)", axes)
-    choices = {"axes": float(axes) if turned else axes, "radius": radius, "rho0": rho0}
+    turned = float(axes) if axes and re.fullmatch(r"-?(\d+\.?\d*|\.\d+)", axes) else axes
+    choices = {"axes": turned, "radius": radius, "rho0": rho0}
     done = []
 
     def measured(file):

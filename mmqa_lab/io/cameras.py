@@ -87,8 +87,9 @@ def read_camera(
     if (matrix != usual).any() or not (np.diag(matrix) > 0).all() or matrix[2, 2] != 1:
         wanted = "fx, 0, cx; 0, fy, cy; 0, 0, 1"
         raise ValueError(f"Invalid camera {path}: matrix {matrix.tolist()}. Must be {wanted}.")
-    size = [known.get(side) for side in ("width", "height")]
-    return matrix, values[1], None if None in size else tuple(int(side) for side in size)
+    width, height = known.get("width"), known.get("height")
+    size = None if width is None or height is None else (int(width), int(height))
+    return matrix, values[1], size
 
 
 def _short(name):

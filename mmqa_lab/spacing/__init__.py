@@ -235,13 +235,18 @@ def quadrant_distances(
     array([0.1, 0.3, 0.4, nan])
     """
     xy = flat_points(xy)
-    radius = check_positive(radius, "radius", unit="m")
-    angle = check_number(angle, "angle", unit="degrees")
     of = np.ones(len(xy), dtype=bool) if of is None else np.asarray(of)
     if of.dtype != bool or of.shape != (len(xy),):
         raise ValueError(
             f"Invalid of, {of.dtype} of shape {of.shape}. Must be bool of shape ({len(xy)},)."
         )
+    return _distances(xy, radius, angle, of)
+
+
+def _distances(xy, radius, angle, of):
+    """Quadrant distances of points that are checked, NaN for those not asked for."""
+    radius = check_positive(radius, "radius", unit="m")
+    angle = check_number(angle, "angle", unit="degrees")
     return _nearest_per_quadrant(_turned(xy, angle), radius, of)
 
 
@@ -289,7 +294,7 @@ def quadrants(xy: ArrayLike, *, radius: float = 0.5, angle: float = 0.0) -> Spac
     (array([0.02, 0.02, 0.04, 0.04]), 2.0, 0.4)
     """
     xy = flat_points(xy)
-    return Spacing(xy, quadrant_distances(xy, radius=radius, angle=angle))
+    return Spacing(xy, _distances(xy, radius, angle, np.ones(len(xy), dtype=bool)))
 
 
 def exempt(d1: ArrayLike, d4: ArrayLike, rho0: float) -> np.ndarray:

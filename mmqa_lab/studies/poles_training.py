@@ -83,7 +83,7 @@ def _post(rng, at, out):
 
 def _board(rng, at, out):
     """A board on one to three thin posts, beside the road or across it."""
-    n, step, low, tall = rng.integers(1, 4), *rng.uniform([0.5, 0.4, 0.3], [1.6, 2.5, 1.8])
+    n, (step, low, tall) = rng.integers(1, 4), rng.uniform([0.5, 0.4, 0.3], [1.6, 2.5, 1.8])
     way, face = [(ALONG, -out), (out, ALONG)][rng.integers(2)]
     radius, made = rng.uniform(0.025, 0.09), []
     for k in range(n):
