@@ -162,7 +162,7 @@ def test_figures_are_equal_to_the_byte(run):
     for _ in range(2):
         figure, ax = plots.subplots(height_mm=40)
         plots.draw_points([[0, 0], [1, 1], [2, 0]], ax=ax)
-        run.save_figure(figure, "points")
+        run.save_figure(figure, "points", seen="Three points.")
         plt.close(figure)
         contents.append([(run.folder / f"points.{e}").read_bytes() for e in ("pdf", "svg", "png")])
     assert contents[0] == contents[1]
@@ -181,7 +181,8 @@ def drawn():
 def test_a_figure_has_its_data_a_caption_and_a_licence(run):
     figure, ax = drawn()
     ax.set_ylabel(r"$\sigma_\mathrm{MAD}$ (mm)")
-    run.save_figure(figure, "errors", data=pd.DataFrame({"range_m": [0.1, 1], "error_mm": [0, 1]}))
+    data = pd.DataFrame({"range_m": [0.1, 1], "error_mm": [0, 1]})
+    run.save_figure(figure, "errors", data=data, seen="Errors.")
     run.save_table(pd.DataFrame({"f": [2.0]}), "again", kind="measured")
     run.save_figure(figure, "again", seen="One rising line.")
     plt.close(figure)
@@ -189,7 +190,7 @@ def test_a_figure_has_its_data_a_caption_and_a_licence(run):
     assert list(pd.read_csv(run.folder / "errors.csv")) == ["range_m", "error_mm"]
     captions = pd.read_csv(run.folder / "captions.csv").set_index("figure")
     assert captions["caption"].to_dict() == {
-        "errors": "plain, sigma_MAD (mm), range (m)",
+        "errors": "Errors.",
         "again": "One rising line. Numbers: measured.",
     }
     assert (captions["licence"] == "CC BY 4.0").all()
@@ -238,7 +239,8 @@ def test_tables_are_written_for_latex(run):
 def test_a_figure_says_the_kind_of_its_numbers(run, kind, data, said):
     figure, ax = drawn()
     high = ax.get_position().height * figure.get_figheight()
-    run.save_figure(figure, "kinds", kind=kind, data=None if data is None else pd.DataFrame(data))
+    data = None if data is None else pd.DataFrame(data)
+    run.save_figure(figure, "kinds", kind=kind, data=data, seen="A line.")
     assert figure.get_supxlabel() == said
     assert ax.get_position().height * figure.get_figheight() > 0.99 * high
     plt.close(figure)
@@ -247,7 +249,7 @@ def test_a_figure_says_the_kind_of_its_numbers(run, kind, data, said):
 @plots.style()
 def test_files_embed_fonts_as_truetype(run):
     figure, _ = drawn()
-    run.save_figure(figure, "named")
+    run.save_figure(figure, "named", seen="A line.")
     plt.close(figure)
     pdf = (run.folder / "named.pdf").read_bytes()
     assert b"/FontFile2" in pdf

@@ -139,9 +139,9 @@ class Run:
         figure: Figure,
         name: str,
         *,
+        seen: str,
         data: pd.DataFrame | None = None,
         kind: str = "",
-        seen: str = "",
     ) -> None:
         """Write a matplotlib figure as PDF, SVG and PNG; equal runs give equal bytes.
 
@@ -150,8 +150,7 @@ class Run:
         the table of this name. It stands in the lower right corner unless the texts of the figure
         state it. ``seen`` says in a sentence what is seen, and of how many. With the kind it is
         the caption, shown in a notebook, kept with the licence in ``captions.csv``, and the text
-        for readers without the picture. By default it is made of the titles and labels of the
-        axes.
+        for readers without the picture.
         """
         if name not in self._kinds or data is not None:
             self._remove(name)
@@ -162,14 +161,14 @@ class Run:
         figure.set_layout_engine("none")  # laid out once: it takes as long as drawing
         for form, details in FORMATS.items():
             self._write(f"{name}.{form}", functools.partial(figure.savefig, metadata=details))
-        said = not kind or all(word in seen for word in re.findall(r"\w+", kind))
-        caption = seen if said or not seen else f"{seen} Numbers: {kind}."
-        self._record["figures"][name] = caption or _described(figure)
+        said = all(word in seen for word in re.findall(r"\w+", kind))
+        caption = seen if said else f"{seen} Numbers: {kind}."
+        self._record["figures"][name] = caption
         rows = pd.DataFrame(self._record["figures"].items(), columns=["figure", "caption"])
         self._write("captions.csv", rows.assign(licence="CC BY 4.0"))
         if data is not None:
             self._write(f"{name}.csv", data)
-        if caption and get_ipython() is not None:
+        if get_ipython() is not None:
             display(Markdown(f"**Figure `{name}`.** {caption}"))
 
     def save_value(self, name: str, value: float, unit: str, kind: str) -> None:
@@ -340,13 +339,6 @@ def _finish_shown():
     """Give the figures of a cell their letters and symbols before the notebook shows them."""
     for number in plt.get_fignums():
         finish_figure(plt.figure(number))
-
-
-def _described(figure):
-    """The titles and labels of a figure's axes, without the marks of LaTeX."""
-    labels = [(ax.get_title(), ax.get_ylabel(), ax.get_xlabel()) for ax in figure.axes]
-    shown = dict.fromkeys(", ".join(filter(None, texts)) for texts in labels)
-    return re.sub(r"\\mathrm|[$\\{}]", "", "; ".join(filter(None, shown)))
 
 
 def four_digits(number):
