@@ -1,5 +1,6 @@
 """Copies for a class: answers gone, checks kept, sheets to print."""
 
+import ast
 import re
 from types import SimpleNamespace
 
@@ -7,6 +8,7 @@ import nbformat
 import numpy as np
 import pandas as pd
 import pytest
+from IPython.core.inputtransformer2 import TransformerManager
 
 from mmqa_lab.__main__ import main
 from mmqa_lab.run import students
@@ -234,3 +236,18 @@ def test_a_notebook_that_fails_is_named_with_its_cause(tmp_path, monkeypatch, ca
     words = ["student", str(tmp_path / "a"), "mimic", "--sheets", str(tmp_path / "b")]
     assert main(words) == 2
     assert "mimic.ipynb: KeyError: 'rho'. Must run to its end." in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("study", STUDIES, ids=lambda study: study.stem)
+def test_copies_need_no_name_of_a_cell_that_is_left_out(study):
+    known, left_out = set(), set()
+    for cell in nbformat.read(study.path, as_version=4).cells:
+        if cell.cell_type == "code":
+            code = TransformerManager().transform_cell(cell.source)
+            names = [node for node in ast.walk(ast.parse(code)) if isinstance(node, ast.Name)]
+            done = {node.id for node in names if isinstance(node.ctx, ast.Store)}
+            if "results" in cell.metadata.get("tags", []):
+                left_out |= done
+                continue
+            assert not ({node.id for node in names} - done - known) & left_out
+            known |= done
