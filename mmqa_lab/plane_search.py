@@ -22,7 +22,7 @@ from mmqa_lab._checks import check_points, check_positive
 from mmqa_lab.cloud import sort_into_cells
 from mmqa_lab.planes import Plane, fit_plane, sigma_mad
 
-__all__ = ["CELLS_PER_SIZE", "Grid", "PlanePart", "detect_planes", "usual_size"]
+__all__ = ["CELLS_PER_SIZE", "Grid", "PlanePart", "detect_planes", "own_order", "usual_size"]
 
 CELLS_PER_SIZE, LEAST_AREA = 4, 0.25
 """Cells of the grid along the smallest plane, and its least area in squared sizes (1 m2 at 2 m).
@@ -144,7 +144,8 @@ def detect_planes(
     size = check_positive(size, "size", unit="m")
     if len(points) < FEWEST_LIMITS[0]:
         return []
-    grid = Grid(points, size / CELLS_PER_SIZE)
+    order = own_order(points)
+    grid = Grid(points[order], size / CELLS_PER_SIZE)
     in_cell = _points_per_cell(grid.start)
     if in_cell < 1:  # surfaces are not connected
         warnings.warn(
@@ -157,8 +158,14 @@ def detect_planes(
     for _ in range(4):
         if not search.round():
             break
-    owner, clear = (values[np.argsort(grid.order)] for values in search.assigned())
+    owner, clear = (values[np.argsort(order[grid.order])] for values in search.assigned())
     return _parts(points, owner, clear, tolerance, minimum)
+
+
+def own_order(points: np.ndarray) -> np.ndarray:
+    """Rows of points (n, 3) in an order that depends on the points alone."""
+    x, y, z = (points - points.min(axis=0, initial=np.inf)).T
+    return np.argsort(x + np.sqrt(2) * y + np.sqrt(3) * z, kind="stable")
 
 
 def usual_size(points: np.ndarray) -> float:

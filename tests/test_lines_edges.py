@@ -2,6 +2,9 @@
 
 import numpy as np
 import pytest
+from facades import covered, street_of_facades
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from mmqa_lab import lines
 from mmqa_lab.lines import extract_edges
@@ -200,3 +203,19 @@ def test_the_default_size_grows_in_thin_clouds(rng, density, size):
     assert usual_size(points // [0.9, 1e-6, 1] * [0.9, 1e-6, 1]) >= 2.0
     far = np.arange(3)[:, None] * [100.0, 0, 0]
     assert usual_size(far) == usual_size(far[:1]) == 3.0
+
+
+@settings(max_examples=2, deadline=None)
+@given(st.integers(0, 10**6))
+def test_edges_do_not_depend_on_the_order_of_points(seed):
+    rng = np.random.default_rng(seed)
+    street = street_of_facades(seed % 20, 6.0, False)
+    points = covered(street, 15, 0.01, rng)
+    rows = rng.permutation(len(points))
+    once, again = extract_edges(points), extract_edges(points[rows])
+    assert np.array_equal(once.segments, again.segments)
+    assert np.array_equal(once.covariance, again.covariance)
+    parts, others = detect_planes(points), detect_planes(points[rows])
+    assert {frozenset(part.index) for part in parts} == {
+        frozenset(rows[other.index]) for other in others
+    }

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.sparse import csc_array
 
 from mmqa_lab._checks import check_points
-from mmqa_lab.plane_search import CELLS_PER_SIZE, Grid, detect_planes, usual_size
+from mmqa_lab.plane_search import CELLS_PER_SIZE, Grid, detect_planes, own_order, usual_size
 
 __all__ = ["Edges", "extract_edges"]
 
@@ -104,6 +104,7 @@ def extract_edges(
     (1, [5.0])
     """
     points = check_points(points, minimum=0)
+    points = points[own_order(points)]  # sums and trials do not depend on the order of rows
     size = usual_size(points) if size is None else size
     patches = detect_planes(points, tolerance=tolerance, size=size)
     rows = []
