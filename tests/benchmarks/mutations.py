@@ -112,7 +112,6 @@ FAULTS = (
     ("mtf", "if crooked > TORN:", "if False:", "test_mtf.py"),
     ("mtf", "if fit.clipped(sign)]", "if False]", "test_mtf.py"),
     ("mtf", "fit.one_sided() > ONE_SIDED", "False", "test_mtf.py"),
-    ("mtf", "max(least**2 - (1.3 * noise) ** 2, 0)", "least**2", "test_mtf.py"),
     ("mtf", "(second > OTHER_STEP, ", "(False, ", "test_mtf.py"),
     ("mtf", "if np.ptp(phase) > LARGEST_DRIFT:", "if False:", "test_mtf.py"),
     ("mtf", "faintest < SEEN_SHARE,", "False,", "test_mtf.py"),
