@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from facades import covered, street_of_facades
-from hypothesis import given, settings
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from mmqa_lab import lines
@@ -205,7 +205,7 @@ def test_the_default_size_grows_in_thin_clouds(rng, density, size):
     assert usual_size(far) == usual_size(far[:1]) == 3.0
 
 
-@settings(max_examples=2, deadline=None)
+@settings(max_examples=2, deadline=None, phases=[Phase.generate])
 @given(st.integers(0, 10**6))
 def test_edges_do_not_depend_on_the_order_of_points(seed):
     rng = np.random.default_rng(seed)
