@@ -38,7 +38,7 @@ def finish_figure(figure):
     _letter(figure)
     for text in figure.findobj(mpl.text.Text):
         if text.get_gid() != "letter":
-            text.set_text(_with_symbols(text.get_text()))
+            text.set_text(with_symbols(text.get_text()))
     for axis in (axis for ax in figure.axes for axis in (ax.xaxis, ax.yaxis)):
         form = axis.get_major_formatter()
         if not isinstance(form, NAMING):
@@ -46,7 +46,7 @@ def finish_figure(figure):
         ticks = axis.get_majorticklocs()
         names = [str(name) for name in form.format_ticks(ticks)]
         if any(SYMBOL.fullmatch(name) or "_" in name for name in names):
-            axis.set_ticks(ticks, labels=[_with_symbols(name) for name in names])
+            axis.set_ticks(ticks, labels=[with_symbols(name) for name in names])
 
 
 def say_kind(figure, kind):
@@ -86,8 +86,19 @@ def _letter(figure):
         ax.annotate(f"({letter})", (0, 1), (-3, 3), "axes fraction", **choices)
 
 
-def _with_symbols(text):
-    """A text with symbols as formulas and names of parameters as words."""
+def with_symbols(text):
+    """Return a text with symbols as formulas and names of parameters as words.
+
+    Parameters
+    ----------
+    text : str
+        A text with a formula stays as it is.
+
+    Examples
+    --------
+    >>> with_symbols("f below d4")
+    '$f$ below $d_4$'
+    """
 
     def set_one(found):
         letter, index, ratio = found.groups()

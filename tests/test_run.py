@@ -130,7 +130,7 @@ def test_a_check_that_compares_with_print_reads_the_ledger(run):
 def test_latex_has_signs_that_its_fonts_have(run):
     run.save_table(pd.DataFrame({"rule": ["f ≥ 2 → 3"], "kind": ["predicted"]}), "rules")
     text = (run.folder / "rules.tex").read_text(encoding="utf-8")
-    assert r"f $\geq$ 2 $\to$ 3" in text
+    assert r"$f$ $\geq$ 2 $\to$ 3" in text
     assert text.isascii()
 
 
@@ -220,9 +220,19 @@ def test_tables_are_written_for_latex(run):
     frame = frame.assign(error_percent=[0.0, 5.0], p=[0.2, 3e-73], n=[28901.0, 2])
     run.save_table(frame, "table", kind="measured")
     text = (run.folder / "table.tex").read_text()
-    parts = ("\\toprule", "area polygon (m²)", "error (\\%)", "& 0 &", "28901 &", "0.56 &")
-    parts += ("-- &", "3e-73", "50 \\%", "a\\_b \\& f")
+    parts = ("\\toprule", "area polygon (m²)", "error (\\%)", "& 0 &", "28901 \\\\", "0.56 &")
+    parts += ("-- &", "3e-73", "50 \\%", "a\\_b \\& $f$", "\\caption{Table. Numbers: measured.}")
     assert [part for part in parts if part not in text] == []
+    body = text.partition("\\toprule")[2]
+    assert "kind" not in body  # it is in the caption
+    assert "measured" not in body
+    assert text.count("{") == text.count("}")
+    assert text.count("\\begin") == text.count("\\end")
+    assert text.index("\\resizebox") < text.index("\\begin{tabular}")  # no wider than the text
+    mixed = frame.assign(kind=["measured", "predicted"])
+    run.save_table(mixed, "mixed")
+    text = (run.folder / "mixed.tex").read_text()
+    assert "predicted" in text.partition("\\toprule")[2]  # each row says its own
     run.save_table(pd.concat([frame] * 40), "long", kind="measured")
     assert not (run.folder / "long.tex").exists()
 

@@ -22,7 +22,7 @@ from IPython.display import Markdown, display
 from matplotlib.figure import Figure
 
 from mmqa_lab import __version__
-from mmqa_lab._figures import finish_figure, say_kind
+from mmqa_lab._figures import finish_figure, say_kind, with_symbols
 from mmqa_lab.bench import heading, split_unit
 from mmqa_lab.io import write_atomically
 from mmqa_lab.published.ledger import entries, verdicts
@@ -44,6 +44,9 @@ LATEX = str.maketrans(
     {"≥": r"$\geq$", "≤": r"$\leq$", "−": "--", "–": "--", "→": r"$\to$"}
     | {"√": r"$\surd$", "ρ": r"$\rho$", "σ": r"$\sigma$", "λ": r"$\lambda$", "∞": r"$\infty$"}
 )
+
+# Begins a table that is made smaller if it is wider than the text; a brace ends it.
+FITTED = r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%"
 
 # Kinds of numbers. Published numbers are printed in a source. Predicted numbers follow from
 # specifications alone. Fitted numbers follow from parameters that were chosen to come close to
@@ -131,8 +134,7 @@ class Run:
         self._write(f"{name}.csv", frame)
         if len(frame) <= LONGEST_LATEX:
             shown = frame.set_axis([heading(str(name)) for name in frame], axis=1)
-            style = {"index": False, "escape": True, "na_rep": "--", "float_format": four_digits}
-            self._write(f"{name}.tex", shown.to_latex(**style).translate(LATEX))
+            self._write(f"{name}.tex", _latex(shown, name, self._kinds[name]))
 
     def save_figure(
         self,
@@ -276,6 +278,22 @@ class Run:
         if name not in self._record["files"]:
             self._record["files"].append(name)
         write_record(self.folder, self._record)
+
+
+def _latex(frame, name, kind):
+    """A table for a paper: no wider than its column, the kind in its caption, symbols in italics.
+
+    It needs the packages booktabs and graphicx.
+    """
+    if "kind" in frame and frame["kind"].nunique() == 1:
+        frame = frame.drop(columns="kind")
+    style = {"index": False, "escape": True, "na_rep": "--", "float_format": four_digits}
+    lines = map(with_symbols, frame.to_latex(**style).strip().splitlines())
+    text, said = "\n".join(lines).translate(LATEX), f" Numbers: {kind}." if kind else ""
+    caption = f"\\caption{{{name.replace('_', ' ').capitalize()}.{said}}}"
+    return "\n".join(
+        [r"\begin{table}", r"\centering", caption, FITTED, f"{text}}}", r"\end{table}"]
+    )
 
 
 def _macro(name, value, unit, kind):
