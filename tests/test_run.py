@@ -215,6 +215,29 @@ def test_a_notebook_shows_captions_and_letters_and_its_page_leaves_bookkeeping_o
     assert "save_figure" not in page
 
 
+def test_a_figure_leaves_what_it_draws_under_its_name(run):
+    figure, axes = plt.subplots(1, 2)
+    axes[0].plot([1, 2, 3], [4, np.nan, 6], label="rising")
+    axes[0].scatter([7, 8], [9, 10], label="dots")
+    axes[1].bar([0, 1], [5, 2])
+    axes[1].set(xlabel="group", ylabel="f")
+    run.save_figure(figure, "drawn", kind="measured", seen="Points.")
+    axes[1].hist([1.0, 2.0], histtype="stepfilled", label="steps")
+    run.save_figure(figure, "drawn", kind="measured", seen="Points.")
+    table = pd.read_csv(run.folder / "drawn.csv")
+    rising = table.query("label == 'rising'")[["x", "y"]].to_numpy()
+    np.testing.assert_array_equal(rising, [[1, 4], [2, np.nan], [3, 6]])
+    assert table.query("label == 'dots'")["y"].tolist() == [9, 10]
+    bars = table.query("panel == 2 and label.isna()")
+    assert bars["y"].tolist() == [5, 2]
+    assert set(bars["y_label"]) == {"$f$"}
+    assert set(table["kind"]) == {"measured"}
+    run.save_table(pd.DataFrame({"f": [1.0]}), "drawn", kind="predicted")
+    run.save_figure(figure, "drawn", seen="Points.")
+    assert pd.read_csv(run.folder / "drawn.csv").columns.tolist() == ["f", "kind"]
+    plt.close(figure)
+
+
 def test_tables_are_written_for_latex(run):
     frame = pd.DataFrame({"area_polygon_m2": [0.56, np.nan], "what": ["50 %", "a_b & f"]})
     frame = frame.assign(error_percent=[0.0, 5.0], p=[0.2, 3e-73], n=[28901.0, 2])

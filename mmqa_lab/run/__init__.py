@@ -16,10 +16,13 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
+import numpy as np
 import pandas as pd
 from IPython import get_ipython
 from IPython.display import Markdown, display
+from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
+from matplotlib.patches import Polygon, Rectangle
 
 from mmqa_lab import __version__
 from mmqa_lab._figures import finish_figure, say_kind, with_symbols
@@ -148,11 +151,12 @@ class Run:
         """Write a matplotlib figure as PDF, SVG and PNG; equal runs give equal bytes.
 
         The panels of the figure get letters. ``data`` is a DataFrame of the numbers shown, written
-        as ``<name>.csv``. The kind of the numbers is ``kind``, the kind of ``data``, or the kind of
-        the table of this name. It stands in the lower right corner unless the texts of the figure
-        state it. ``seen`` says in a sentence what is seen, and of how many. With the kind it is
-        the caption, shown in a notebook, kept with the licence in ``captions.csv``, and the text
-        for readers without the picture.
+        as ``<name>.csv``, by default the table of this name, or what is drawn. The kind of the
+        numbers is ``kind``, the kind of ``data``, or the kind of the table of this name. It stands
+        in the lower right corner unless the texts of the figure state it. ``seen`` says in a
+        sentence what is seen, and of how many. With the kind it is the caption, shown in a
+        notebook, kept with the licence in ``captions.csv``, and the text for readers without the
+        picture.
         """
         if name not in self._kinds or data is not None:
             self._remove(name)
@@ -168,6 +172,8 @@ class Run:
         self._record["figures"][name] = caption
         rows = pd.DataFrame(self._record["figures"].items(), columns=["figure", "caption"])
         self._write("captions.csv", rows.assign(licence="CC BY 4.0"))
+        if data is None and name not in self._kinds:
+            data = _drawn(figure).assign(kind=kind)
         if data is not None:
             self._write(f"{name}.csv", data)
         if get_ipython() is not None:
@@ -357,6 +363,23 @@ def _finish_shown():
     """Give the figures of a cell their letters and symbols before the notebook shows them."""
     for number in plt.get_fignums():
         finish_figure(plt.figure(number))
+
+
+def _drawn(figure):
+    """The points, lines and bars of a figure as a table: panel, label, and both coordinates."""
+    rows = []
+    for panel, ax in enumerate(figure.axes, 1):
+        bars = [one for one in ax.patches if isinstance(one, Rectangle)]
+        bars = np.reshape([(one.get_center()[0], one.get_height()) for one in bars], (-1, 2))
+        parts = [(ax, bars), *((one, one.get_xydata()) for one in ax.lines)]
+        parts += [(one, one.get_xy()) for one in ax.patches if isinstance(one, Polygon)]
+        dots = [one for one in ax.collections if isinstance(one, PathCollection)]
+        parts += [(one, np.ma.filled(one.get_offsets(), np.nan)) for one in dots]
+        for part, xy in parts:
+            texts = {"panel": panel, "label": part.get_label(), "x_label": ax.get_xlabel()}
+            table = pd.DataFrame(np.asarray(xy, dtype=float), columns=["x", "y"])
+            rows.append(table.assign(**texts, y_label=ax.get_ylabel()))
+    return pd.concat([table for table in rows if len(table)] or [pd.DataFrame({"x": []})])
 
 
 def four_digits(number):
