@@ -209,6 +209,15 @@ def test_what_a_reader_says_of_a_file_is_in_the_table(line, tmp_path, monkeypatc
     assert said not in err
 
 
+def test_what_was_left_out_is_said_where_nothing_remains(tmp_path, capfd):
+    cloud = Cloud(np.random.default_rng(1).random((60, 3)), {"withheld": np.ones(60, np.uint8)})
+    io.write_cloud(tmp_path / "c.laz", cloud)
+    assert commands.run(["evaluate", str(tmp_path / "c.laz")]) == 2
+    said = capfd.readouterr().err
+    assert "Dropped 60 of 60 points" in said
+    assert "no points. Must contain one or more." in said
+
+
 @pytest.mark.parametrize(
     ("line", "status"),
     [

@@ -52,11 +52,11 @@ def _each(files, unit, measured, *, column="file", remark="remarks"):
     """Tables of files below each other; a file that fails has a row with the reason alone."""
     import pandas as pd
 
-    tables, errors = [], []
+    tables, errors, lost = [], [], []
     for file in progress(files, unit):
         table, said = heard(measured, file)
         if isinstance(table, Exception):
-            errors = [*errors, table]
+            errors, lost = [*errors, table], [*lost, *said]
             table = pd.DataFrame([{remark: sentence_of(table, file)}])
         own = table[remark].fillna("") if remark in table else [""] * len(table)
         told = [sentence.removeprefix(f"{file}: ") for sentence in said]
@@ -64,6 +64,8 @@ def _each(files, unit, measured, *, column="file", remark="remarks"):
         table.insert(0, column, file.name)
         tables.append(table)
     if len(errors) == len(files):
+        for sentence in lost:
+            warnings.warn(sentence, stacklevel=2)
         said = sentence_of(errors[0], files[0])
         if len(files) > 1 and files[0].name not in said:
             said = said.replace("Invalid", f"Invalid {files[0].name},", 1)
