@@ -104,8 +104,7 @@ def show_cloud(
 
     choices: dict = {"jupyter_backend": "static"}
     if not is_headless():
-        looks = {"collapse_menu": True, "iframe_attrs": {"title": f"3-D view: {label}"}}
-        choices = {"jupyter_backend": "server", "jupyter_kwargs": looks}
+        choices = {"jupyter_backend": "server", "jupyter_kwargs": {"collapse_menu": True}}
         # it would download code from the network when the first view opens
         sys.modules.setdefault("trame.widgets.vtklocal", None)  # type: ignore[arg-type]
     return _plotter(local, values, label, limit).show(return_viewer=True, **choices)

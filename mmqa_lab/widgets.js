@@ -10,6 +10,9 @@
     for (const list of document.querySelectorAll(".jupyter-widgets select")) {
       list.setAttribute("data-lm-suppress-shortcuts", "true");
     }
+    for (const frame of document.querySelectorAll("iframe.pyvista:not([title])")) {
+      frame.title = "View in space";
+    }
     for (const canvas of document.querySelectorAll(".jupyter-matplotlib-canvas-div:not([role])")) {
       canvas.setAttribute("role", "img");
       canvas.setAttribute("aria-label", "Picture of points. Its figures are the text below it.");
