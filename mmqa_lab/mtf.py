@@ -1100,7 +1100,8 @@ def _refined(pixels, place, n, rings):
     starts = [[*place[:2], a, b] for a in steps - steps.mean() for b in steps - steps.mean()]
     best = min(starts, key=lambda start: (misfit(start, some) ** 2).sum())
     scale = np.array([1.0, 1.0, 1 / rings[-1], 1 / rings[-1]])
-    return least_squares(lambda p: misfit(p * scale), best / scale, xtol=1e-7).x * scale
+    found = least_squares(lambda p: misfit(p * scale), best / scale, xtol=1e-7, max_nfev=50)
+    return found.x * scale
 
 
 def _place_of_bars(group):
