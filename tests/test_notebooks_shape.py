@@ -11,7 +11,7 @@ from mmqa_lab.studies import STUDIES, TOOLS
 DONE = {
     "chart_tables", "repeatability", "anisotropy", "lhd_weight", "mimic", "test_field",
     "image_resolution", "chart_images", "specifications", "image_radiometry", "fitness",
-    "metric_cards",
+    "metric_cards", "poles",
 }  # fmt: skip
 """Stems of the notebooks that have this form."""
 
