@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mmqa_lab import tender
 from mmqa_lab.__main__ import main
 from mmqa_lab.chart_cloud import (
     chart_polygon,
@@ -192,6 +193,16 @@ def test_coarse_coordinates_and_coincident_points_are_remarked_on(rng):
     assert "share their place with another" in twice
     table = evaluate_cloud(points.round(2)).to_frame()
     assert table["remarks"][0] == f"{said} {twice}"
+
+
+def test_two_points_in_one_place_of_thousands_leave_the_density_certain(rng):
+    points = noisy(rng)
+    for copies, certain in ((2, True), (40, False)):
+        quality = evaluate_cloud(np.concatenate([points, points[:copies]]))
+        known = {"quantity": "density_per_m2", "remarks": " ".join(quality.remarks)}
+        assert "share their place" in known["remarks"]
+        said = tender.verdict(2001, "<=", 900, **known)
+        assert said == ("not met" if certain else "not certain")
 
 
 @pytest.mark.parametrize(
