@@ -55,7 +55,7 @@ COARSE_MM = 1e-3
 FULL = 1.5
 """Ratio of a polygon's area to the hull of its points above which a remark is given."""
 
-FEW = 0.001
+DUPLICATES = 0.001
 """Share of points in the place of another up to which they do not count for the density."""
 
 BENT = 0.5
@@ -618,7 +618,7 @@ def _remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
             gaps.coincident > 0,
             f"{gaps.coincident} points ({100 * gaps.coincident / gaps.n:.3g} %) share their place "
             "with another"
-            + (": they raise the density." if gaps.coincident > FEW * gaps.n else "."),
+            + (": they raise the density." if gaps.coincident > DUPLICATES * gaps.n else "."),
         ),
         (
             d2_mm > PAIRS * d1_mm,
