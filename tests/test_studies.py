@@ -12,6 +12,7 @@ from pathlib import Path
 import guesses
 import nbformat
 import pandas as pd
+import psutil
 import pytest
 from pyproj import CRS
 
@@ -184,6 +185,7 @@ def broken(tmp_path):
 MADE = """
 import os
 import pandas as pd
+import psutil
 from mmqa_lab.run import Run
 run = Run("broken", parameters=globals())
 run.save_table(pd.DataFrame({"f": [2.0]}), "made", kind="measured")
@@ -248,3 +250,18 @@ def test_a_killed_run_leaves_whole_files_and_the_next_run_clears_the_rest(tmp_pa
     monkeypatch.setenv("MMQA_RESULTS", str(tmp_path))
     Run("mimic", parameters={})
     assert not list(study.glob(".*"))
+
+
+@pytest.mark.timeout(0)
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no such signal")
+def test_studies_that_are_ended_leave_no_process(tmp_path):
+    order = [sys.executable, "-m", "mmqa_lab", "studies", "--quick", "--workers", "2"]
+    run = subprocess.Popen([*order, "--out", str(tmp_path)], stderr=subprocess.DEVNULL)
+    whole = psutil.Process(run.pid)
+    while sum("ipykernel_launcher" in one.cmdline() for one in whole.children(True)) < 2:
+        time.sleep(0.2)
+    started = whole.children(True)
+    run.terminate()
+    assert run.wait() == 130
+    alive = psutil.wait_procs(started, timeout=120)[1]
+    assert not alive

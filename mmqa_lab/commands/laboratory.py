@@ -182,6 +182,7 @@ def _fitting_workers():
 
 def _run_studies(run_study, studies, folder, quick, workers):
     """Run each study in a process of its own; yield it with its record when it ends."""
+    import signal
     from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
     from multiprocessing import active_children, get_context
 
@@ -189,6 +190,7 @@ def _run_studies(run_study, studies, folder, quick, workers):
     os.environ.setdefault("NUMBA_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // workers)))
     apart = getattr(os, "setpgrp", None)  # Ctrl-C is for this process alone
     pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=apart)
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends the workers, too
     try:
         tasks = {pool.submit(run_study, study, folder, quick=quick): study for study in studies}
         bar, waiting = progress(range(len(tasks)), "study"), set(tasks)
@@ -206,6 +208,7 @@ def _run_studies(run_study, studies, folder, quick, workers):
             child.kill()
         raise
     finally:
+        signal.signal(signal.SIGTERM, before)
         pool.shutdown(cancel_futures=True)
 
 
