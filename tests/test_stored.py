@@ -78,3 +78,9 @@ def test_what_is_stored_is_small_and_needs_no_kernel(tmp_path):
     write_atomically(study.path, study.path.read_text().replace("draw()", "draw(2)"))
     with pytest.raises(ValueError, match="the notebook changed"):
         store(tmp_path, results.parent, [study])
+
+
+def test_no_answer_has_a_number_that_was_not_measured():
+    answers = pd.read_csv(notebooks_folder() / "answers.csv")
+    assert len(answers) == len(STUDIES)
+    assert not answers["answer"].str.contains(r"\bnan\b").any()
