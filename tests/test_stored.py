@@ -5,6 +5,7 @@ import io
 
 import nbformat
 import numpy as np
+import pandas as pd
 import pytest
 from PIL import Image
 
