@@ -208,6 +208,30 @@ def seconds(folder, code, size):
     return tuple(map(float, done.stdout.split()[-2:]))
 
 
+def beside(name, older, turns):
+    """Rows of a case, one a size, on both versions in turns."""
+    sizes, aim, code = CASES[name]
+    found = np.array(
+        [
+            [[seconds(folder, code, size) for folder in (older, HERE)] for size in sizes]
+            for _ in range(turns)
+        ]
+    )
+    times, peaks = found[..., 0], found[..., 1].max(axis=0)
+    ratios = times[:, :, 1] / times[:, :, 0]
+    before, today = np.median(times, axis=0).T
+    slopes = [np.polyfit(np.log(sizes), np.log(one), 1)[0] for one in (before, today)]
+    growth = dict(zip(("exponent, older", "exponent, today"), slopes, strict=True))
+    rows = []
+    for k, size in enumerate(sizes):
+        row = {"case": name, "size": size, "older (s)": before[k], "today (s)": today[k]}
+        row |= {"ratio": np.median(ratios[:, k])}
+        row |= {"least": ratios[:, k].min(), "most": ratios[:, k].max()}
+        row |= {"older (GB)": peaks[k, 0], "today (GB)": peaks[k, 1], "aim": aim}
+        rows.append(row | growth)
+    return pd.DataFrame(rows)
+
+
 def main():
     """Run the cases in turns, print and write the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -215,31 +239,13 @@ def main():
     parser.add_argument("cases", nargs="*", help="beginnings of names; by default all")
     parser.add_argument("--turns", type=int, default=3)
     options = parser.parse_args()
-    rows = []
-    for name, (sizes, aim, code) in CASES.items():
-        if options.cases and not name.startswith(tuple(options.cases)):
-            continue
-        versions = (options.folder.resolve(), HERE)
-        found = np.array(
-            [
-                [[seconds(folder, code, size) for folder in versions] for size in sizes]
-                for _ in range(options.turns)
-            ]
-        )
-        times, peaks = found[..., 0], found[..., 1].max(axis=0)
-        ratios = times[:, :, 1] / times[:, :, 0]
-        older, today = np.median(times, axis=0).T
-        slopes = [np.polyfit(np.log(sizes), np.log(one), 1)[0] for one in (older, today)]
-        growth = dict(zip(("exponent, older", "exponent, today"), slopes, strict=True))
-        for k, size in enumerate(sizes):
-            row = {"case": name, "size": size, "older (s)": older[k], "today (s)": today[k]}
-            row |= {"ratio": np.median(ratios[:, k])}
-            row |= {"least": ratios[:, k].min(), "most": ratios[:, k].max()}
-            row |= {"older (GB)": peaks[k, 0], "today (GB)": peaks[k, 1], "aim": aim}
-            rows.append(row | growth)
-        print(pd.DataFrame(rows[-len(sizes) :]).round(3).to_string(index=False), flush=True)
+    tables = []
+    for name in CASES:
+        if not options.cases or name.startswith(tuple(options.cases)):
+            tables.append(beside(name, options.folder.resolve(), options.turns))
+            print(tables[-1].round(3).to_string(index=False), flush=True)
     if not options.cases:
-        write_section(f"Beside {options.folder.resolve().name}", pd.DataFrame(rows))
+        write_section(f"Beside {options.folder.resolve().name}", pd.concat(tables))
 
 
 if __name__ == "__main__":
