@@ -220,7 +220,8 @@ def line_distance(seed, n):
     test = model + [0.08, 0.06, 0.0] + rng.normal(0, 0.03, model.shape)
     pairs = np.eye(n, dtype=bool)
     found = lines.lhd(test, model, pairs=pairs)
-    return {"distance": (*found.interval(seed=seed), None, found.value)}
+    low, high = found.intervals()[["low", "high"]].to_numpy()[0]
+    return {"distance": (low, high, None, found.value)}
 
 
 def edge_of_walls(seed, angle_deg, density, noise):

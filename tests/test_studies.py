@@ -3,7 +3,6 @@
 import json
 import os
 import re
-import signal
 import subprocess
 import sys
 import time
@@ -152,7 +151,16 @@ def test_a_cloud_that_cannot_be_used_is_a_sentence_beside_the_others(
         write_cloud(tmp_path / f"{name}.laz", cloud, scale=1e-7 if name == "turned" else 1e-3)
     cells = {cell.id: cell.source for cell in nbformat.read(TOOLS[0].path, as_version=4).cells}
     scope = {}
-    for name in ("own-02", "own-03", "own-04", "own-16", "own-17", "own-06", "own-08"):
+    for name in (
+        "own-02",
+        "own-03",
+        "own-04",
+        "own-04-read",
+        "own-16",
+        "own-17",
+        "own-06",
+        "own-08",
+    ):
         exec(re.sub(r"(?m)^%.*", "", cells[name]), scope)
         scope["files"] = tuple(map(str, files))
     said = capsys.readouterr().out
@@ -238,7 +246,10 @@ def test_a_killed_run_leaves_whole_files_and_the_next_run_clears_the_rest(tmp_pa
         while not any(study.glob("*.csv")):
             assert run.poll() is None
             time.sleep(0.02)
-        os.killpg(run.pid, signal.SIGKILL)
+        workers = psutil.Process(run.pid).children(recursive=True)
+        for process in (run, *workers):
+            process.kill()
+    psutil.wait_procs(workers, timeout=60)
     assert verdict(read_record(study)) == "stopped before its end"
     assert set(read_record(study)["files"]) <= {path.name for path in study.iterdir()}
     for path in study.glob("[!.]*"):

@@ -533,7 +533,8 @@ def align(image, layout, chart_map):
     if bent > LARGEST_BEND:
         raise ValueError(
             f"Invalid place of the chart: straight lines are bent by {bent:.1%} of their length. "
-            f"Must be less than {LARGEST_BEND:.0%}, or a camera file must tell how the lens bends."
+            f"Must be less than {LARGEST_BEND:.0%}, or a camera file must tell how the lens bends; "
+            "is the chart there?"
         )
     if not correlation >= SMALLEST_CORRELATION:
         raise ValueError(
