@@ -161,7 +161,9 @@ CASES = {
         chart = charts.imaging_chart()
         grey = cv2.imread(str(Path(TESTS).parent / "data_samples/chart_photo.jpg"), 0)
         side = round(n**0.5 * 1000)
-        photo = cv2.resize(grey, (side, side), interpolation=cv2.INTER_CUBIC)
+        street = rng.integers(90, 160, (side // 100, side // 100), dtype=np.uint8)
+        photo = cv2.resize(street, (side, side), interpolation=cv2.INTER_CUBIC)
+        photo[side // 2 :, side // 3 :][: grey.shape[0], : grey.shape[1]] = grey
         cv2.imwrite(str(folder / "photo.jpg"), photo)
         del photo
         call = lambda: chart_image.evaluate_file(folder / "photo.jpg", chart)
