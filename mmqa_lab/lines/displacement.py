@@ -58,7 +58,7 @@ CLUTTER_PER_M2, LEFT_M = 0.1, 0.08
 PATHS, ELSEWHERE_M = 3, 0.8
 """Number of paths compared, and their least distance at each station."""
 
-LEAST_EVIDENCE, FEW_EVIDENCE, PER_SHARE = 2.2, 8.2, 12.0
+LEAST_EVIDENCE, FEW_EVIDENCE, PER_SHARE = 2.2, 7.2, 10.0
 """Least evidence per pair; where few lines are paired, less so much times their share of the
 smaller set. Chosen on 118 simulated rows of windows with few common lines, so no score there."""
 
