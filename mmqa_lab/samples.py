@@ -34,15 +34,16 @@ SAMPLES = {row["name"]: SimpleNamespace(**row) for row in _ROWS["samples"]}
 
 
 PUBLIC = {row["name"]: SimpleNamespace(**row) for row in _ROWS["public"]}
-"""Clouds that others host, by name: url of an archive and the file in it, sha256 and size of the
-archive, licence, doi, origin and contents."""
+"""Clouds that others host, by name: the file and its sha256, url of the archive that it is in, with
+the archive's sha256 and size, licence, doi, origin and contents."""
 
 
 def fetch(name: str) -> Path:
     """Return the path of a public cloud, which is downloaded if it was not before.
 
     Downloads are kept in the folder that ``MMQA_CACHE`` names, by default ``~/.cache/mmqa_lab``.
-    One that was interrupted goes on from where it stopped. Each call compares the hash.
+    One that was interrupted goes on from where it stopped. A file with the right hash stays as it
+    is, and needs no network.
 
     Parameters
     ----------
@@ -66,17 +67,20 @@ def fetch(name: str) -> Path:
     ('10.21105/joss.06948', 'MIT')
     """
     one = PUBLIC[check_choice(name, "public cloud", PUBLIC)]
-    cache = Path(os.environ.get(CACHE_VARIABLE, Path.home() / ".cache" / "mmqa_lab"))
-    archive, part = (cache / f"{one.sha256[:12]}{ending}" for ending in (".tar.gz", ".part"))
-    if not archive.is_file() or _sha256(archive) != one.sha256:
-        cache.mkdir(parents=True, exist_ok=True)
+    target = _cached(one)
+    if _sha256(target) == one.sha256:
+        return target
+    archive, part = (
+        target.with_name(one.archive_sha256[:12] + end) for end in (".tar.gz", ".part")
+    )
+    if _sha256(archive) != one.archive_sha256:
+        target.parent.mkdir(parents=True, exist_ok=True)
         _download(one, part)
-        if (other := _sha256(part)) != one.sha256:
+        if (other := _sha256(part)) != one.archive_sha256:
             part.unlink()
             told = f"Invalid public cloud {name} with SHA-256 {other}."
-            raise ValueError(f"{told} Must be {one.sha256}.")
+            raise ValueError(f"{told} Must be {one.archive_sha256}.")
         part.replace(archive)
-    target = cache / f"{name}{Path(one.file).suffix}"
     with tarfile.open(archive) as opened:
         found = next(part for part in opened if part.name.partition("/")[2] == one.file)
         content = opened.extractfile(found).read()  # type: ignore[union-attr]  # it is a file
@@ -84,14 +88,24 @@ def fetch(name: str) -> Path:
     return target
 
 
+def _cached(one):
+    """Where a public cloud is kept."""
+    cache = Path(os.environ.get(CACHE_VARIABLE, Path.home() / ".cache" / "mmqa_lab"))
+    return cache / f"{one.name}{Path(one.file).suffix}"
+
+
 def _download(one, part):
     """Download the rest of an archive to the end of a part of it."""
     have = part.stat().st_size if part.is_file() else 0
+    if have >= one.archive_size:  # it was interrupted after its last byte
+        return
     asked = urllib.request.Request(one.url, headers={"Range": f"bytes={have}-"} if have else {})
     try:
         with urllib.request.urlopen(asked, timeout=60) as answer:
             have *= answer.status == 206  # of a part; other hosts begin again
-            bar = tqdm(total=one.size, initial=have, unit="B", unit_scale=True, desc=one.name)
+            bar = tqdm(
+                total=one.archive_size, initial=have, unit="B", unit_scale=True, desc=one.name
+            )
             with part.open("ab" if have else "wb") as file, bar:
                 while piece := answer.read(2**16):
                     bar.update(file.write(piece))
@@ -99,15 +113,14 @@ def _download(one, part):
         raise OSError(
             f"Invalid address {one.url}: no answer. Must be reachable once; the next call goes on."
         ) from error
-    if part.stat().st_size < one.size:
-        got = f"{part.stat().st_size} of {one.size} bytes"
+    if part.stat().st_size < one.archive_size:
+        got = f"{part.stat().st_size} of {one.archive_size} bytes"
         raise OSError(f"Invalid download of {one.name}: {got}. Must be whole; call again to go on.")
 
 
 def _sha256(file):
-    """The SHA-256 of a file."""
-    with file.open("rb") as opened:
-        return hashlib.file_digest(opened, "sha256").hexdigest()
+    """The SHA-256 of a file; an empty text if there is none."""
+    return hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else ""
 
 
 def path(name: str) -> Path:
@@ -160,34 +173,36 @@ def road_patch_heads() -> dict:
 
 
 def has_real(relative: str) -> bool:
-    """Return whether the folder of larger clouds contains this file.
+    """Return whether a public cloud was fetched, or the folder of larger clouds has this file.
 
     Parameters
     ----------
     relative : str
-        Path below the folder that ``MMQA_DATA`` names.
+        A name of ``PUBLIC``, or a path below the folder that ``MMQA_DATA`` names.
 
     Returns
     -------
     bool
-        False also if that variable is not set.
+        False also if that variable is not set. Nothing is downloaded.
 
     Examples
     --------
     >>> has_real("no such file.laz")
     False
     """
+    if relative in PUBLIC:
+        return _sha256(_cached(PUBLIC[relative])) == PUBLIC[relative].sha256
     root = os.environ.get(REAL_VARIABLE, "")
     return root != "" and (Path(root) / relative).exists()
 
 
 def real_path(relative: str) -> Path:
-    """Return the path of a larger public cloud under the folder that ``MMQA_DATA`` names.
+    """Return the path of a fetched public cloud, or under the folder that ``MMQA_DATA`` names.
 
     Parameters
     ----------
     relative : str
-        Path below that folder.
+        A name of ``PUBLIC``, or a path below that folder.
 
     Returns
     -------
@@ -196,7 +211,7 @@ def real_path(relative: str) -> Path:
     Raises
     ------
     FileNotFoundError
-        If the variable is not set or the file does not exist.
+        If the variable is not set, or the file does not exist or was not fetched.
 
     Examples
     --------
@@ -207,5 +222,8 @@ def real_path(relative: str) -> Path:
     Invalid real cloud none.laz. Must be below $MMQA_DATA.
     """
     if not has_real(relative):
-        raise FileNotFoundError(f"Invalid real cloud {relative}. Must be below ${REAL_VARIABLE}.")
+        where = "fetched before" if relative in PUBLIC else f"below ${REAL_VARIABLE}"
+        raise FileNotFoundError(f"Invalid real cloud {relative}. Must be {where}.")
+    if relative in PUBLIC:
+        return _cached(PUBLIC[relative])
     return Path(os.environ[REAL_VARIABLE]) / relative

@@ -67,7 +67,7 @@ def host(monkeypatch, tmp_path):
         def do_GET(self):
             asked.append(self.headers.get("Range"))
             start = int((asked[-1] or "bytes=0-")[6:-1])
-            self.send_response(206 if start else 200)
+            self.send_response(416 if start >= len(whole) else 206 if start else 200)
             self.send_header("Content-Length", str(len(whole) - start))
             self.end_headers()
             self.wfile.write(whole[start:][: len(whole) // 2 if cut else None])
@@ -81,38 +81,61 @@ def host(monkeypatch, tmp_path):
         name="wall",
         url=f"http://127.0.0.1:{server.server_port}/a.tar.gz",
         file="wall.bin",
-        sha256=hashlib.sha256(whole).hexdigest(),
-        size=len(whole),
+        sha256=hashlib.sha256(cloud).hexdigest(),
+        archive_sha256=hashlib.sha256(whole).hexdigest(),
+        archive_size=len(whole),
     )
     monkeypatch.setitem(samples.PUBLIC, "wall", one)
     monkeypatch.setenv(samples.CACHE_VARIABLE, str(tmp_path / "cache"))
-    yield SimpleNamespace(one=one, asked=asked, cut=cut, cloud=cloud)
+    yield SimpleNamespace(one=one, asked=asked, cut=cut, cloud=cloud, whole=whole)
     server.shutdown()
 
 
 def test_a_public_cloud_is_downloaded_once_and_again_if_it_is_damaged(host, tmp_path):
-    for _ in range(2):
+    written = []
+    for _ in range(3):
         assert samples.fetch("wall").read_bytes() == host.cloud
+        written.append(samples.fetch("wall").stat().st_mtime_ns)
+    assert len(set(written)) == 1  # a file with the right hash is not written again
     assert host.asked == [None]
     samples.fetch("wall").write_bytes(b"damaged")
     assert samples.fetch("wall").read_bytes() == host.cloud
+    assert host.asked == [None]  # the archive is still there
     (archive,) = (tmp_path / "cache").glob("*.tar.gz")
-    archive.write_bytes(archive.read_bytes()[:-1])
+    archive.write_bytes(host.whole[:-1])
+    samples.fetch("wall").write_bytes(b"damaged")
     assert samples.fetch("wall").read_bytes() == host.cloud
     assert host.asked == [None, None]
 
 
-def test_an_interrupted_download_goes_on_from_where_it_stopped(host):
+def test_a_fetched_cloud_is_real_data_without_a_network(host):
+    assert not samples.has_real("wall")
+    with pytest.raises(FileNotFoundError, match=r"real cloud wall\. Must be fetched before"):
+        samples.real_path("wall")
+    assert host.asked == []  # nobody downloads by looking
+    file = samples.fetch("wall")
+    host.one.url = "http://127.0.0.1:9/none.tar.gz"
+    assert samples.has_real("wall")
+    assert samples.real_path("wall") == file == samples.fetch("wall")
+    file.write_bytes(b"damaged")
+    assert not samples.has_real("wall")
+
+
+@pytest.mark.parametrize("share", [0.5, 1])
+def test_an_interrupted_download_goes_on_from_where_it_stopped(host, share, tmp_path):
     host.cut.append(True)
     with pytest.raises(OSError, match=r"Invalid (download of wall|address)"):
         samples.fetch("wall")
     host.cut.clear()
+    (part,) = (tmp_path / "cache").glob("*.part")
+    part.write_bytes(host.whole[: int(share * len(host.whole))])
     assert samples.fetch("wall").read_bytes() == host.cloud
-    assert host.asked == [None, f"bytes={host.one.size // 2}-"]
+    later = [f"bytes={len(host.whole) // 2}-"] if share < 1 else []
+    assert host.asked == [None, *later]
 
 
 def test_another_file_under_the_address_is_refused_and_not_kept(host, tmp_path):
-    host.one.sha256 = "0" * 64
+    host.one.archive_sha256 = "0" * 64
     with pytest.raises(ValueError, match="Invalid public cloud wall with SHA-256"):
         samples.fetch("wall")
     assert not [path for path in (tmp_path / "cache").iterdir() if path.is_file()]
@@ -129,7 +152,8 @@ def test_no_network_is_a_sentence(host):
 def test_public_clouds_state_licence_hash_and_size():
     for one in samples.PUBLIC.values():
         assert min(map(len, (one.licence, one.origin, one.contents))) > 2
-        assert re.fullmatch("[0-9a-f]{64}", one.sha256)
+        assert re.fullmatch("[0-9a-f]{128}", one.sha256 + one.archive_sha256)
         assert re.fullmatch(r"(10\.\d+/.+)?", one.doi)
         assert one.url.startswith("https://")
-        assert one.size > 1000
+        assert one.archive_size > 1000
+    assert 3 <= len(samples.PUBLIC) <= 5
