@@ -33,7 +33,7 @@ from mmqa_lab._checks import (
 )
 from mmqa_lab.chart_cloud import COARSE_MM, PAIRS, is_below_step
 from mmqa_lab.cloud import ON_BORDER, cells_of, sort_into_cells, unit_remarks
-from mmqa_lab.io import LAS_ENDINGS, iterate_cloud, write_atomically
+from mmqa_lab.io import LAS_ENDINGS, iterate_cloud, own_folder, write_atomically
 from mmqa_lab.planes import CONSISTENT_SCALE
 from mmqa_lab.spacing import STEPS, quadrant_distances
 
@@ -298,27 +298,24 @@ def map_campaign(
             print(f"{folder}: {there} of {count} tiles are there.", file=sys.stderr)
         if there == count:
             return Path(folder)
-    try:
-        own.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OSError(f"Invalid folder {own}: {error.strerror}. Must be writable.") from error
-    try:
-        tasks = [(own, file, cell, tile, bool(kept)) for file in files]
-        with warnings.catch_warnings(record=True) as said:  # by threads of this process
-            warnings.simplefilter("always")
-            sorted_files = _computed(_sort_file, tasks, "files", client)
-        slices, found = _joined(sorted_files, run, [str(one.message) for one in said])
-    except ValueError:
+    with own_folder(own):
+        try:
+            tasks = [(own, file, cell, tile, bool(kept)) for file in files]
+            with warnings.catch_warnings(record=True) as said:  # by threads of this process
+                warnings.simplefilter("always")
+                sorted_files = _computed(_sort_file, tasks, "files", client)
+            slices, found = _joined(sorted_files, run, [str(one.message) for one in said])
+        except ValueError:
+            _remove_working_files(own)
+            raise
+        if not kept:
+            for sentence in found["remarks"]:
+                warnings.warn(sentence, stacklevel=2)
+            kept = run | found
+            write_atomically(own / "run.json", json.dumps(kept, indent=1))
+        tasks = [(own, place, _near(slices, place, kept), kept) for place in _missing(own, kept)]
+        _computed(_map_tile, tasks, "tiles", client)
         _remove_working_files(own)
-        raise
-    if not kept:
-        for sentence in found["remarks"]:
-            warnings.warn(sentence, stacklevel=2)
-        kept = run | found
-        write_atomically(own / "run.json", json.dumps(kept, indent=1))
-    tasks = [(own, place, _near(slices, place, kept), kept) for place in _missing(own, kept)]
-    _computed(_map_tile, tasks, "tiles", client)
-    _remove_working_files(own)
     return Path(folder)
 
 

@@ -348,7 +348,7 @@ def test_command_ranks_ones_own_method_and_names_its_files(call, tmp_path):
     assert status == 0
     assert out.split()[:2] == ["method", "spearman"]
     assert set(pd.read_csv("rows.csv")["method"]) == {"std", "mad", "spread"}
-    written = {path.name for path in (tmp_path / "out").iterdir()}
+    written = {path.name for path in (tmp_path / "out").glob("[!.]*")}
     tables = {"ranks.csv", "cells.csv", "failures.csv", "summary.csv"}
     assert written == tables | {"methods.pdf", "methods.png", "methods.svg"}
     assert all(name in err for name in written)

@@ -134,7 +134,7 @@ def test_a_run_that_was_killed_goes_on_with_the_same_bytes(campaign, until, monk
             maps.map_campaign(paths, folder / str(workers), cell=0.5, tile=2)
         assert tiles(folder / str(workers)) == tiles(folder / "killed")
     assert len(tiles(folder / "killed")) == 45
-    assert {path.suffix for path in (folder / "killed").rglob("*.*")} == {".json", ".npy"}
+    assert {path.suffix for path in (folder / "killed").rglob("[!.]*.*")} == {".json", ".npy"}
 
 
 def test_a_lost_worker_costs_nothing(campaign):

@@ -2,11 +2,16 @@
 
 import hashlib
 import os
+import subprocess
+import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from mmqa_lab import boresight, io, maps, samples
 from mmqa_lab.cloud import Cloud
@@ -22,6 +27,21 @@ OTHERS = {
     "notes.docx": b"PK\x03\x04",
     "photo.jpg": b"\xff\xd8\xff\xd9",
 }
+
+
+# Files of the names that commands write into a folder, and what stands for them.
+NAMES = [
+    "index.html", "glossary.html", "api.html", "ledger.html", "notebook.css", "05_mimic.html",
+    "thumbnails/05_mimic.png", "mimic/run.json", "mimic/.my.cfg", "mimic/mimic.html",
+    "summary.csv", "results.csv", "cells.csv", "failures.csv", "methods.pdf", "methods.png",
+    "1_street.laz", "1_own.laz", "05_mimic.ipynb", "05_mimic_solutions.html",
+    "mmqa_map/run.json", "mmqa_map/a.mmqa_points", "mmqa_map/.tile_0_0.npy",
+]  # fmt: skip
+
+OF_FOLDERS = [
+    "bench lhd_weight --quick --out", "calibrate street.laz --trajectory path.csv --out",
+    "studies mimic --quick --out", "studies mimic --site", "student copies mimic --sheets",
+]  # fmt: skip
 
 
 def grid(n=40, step=0.05):
@@ -137,6 +157,78 @@ def test_corrected_clouds_do_not_replace_the_drives(full, monkeypatch, capsys):
     assert run(["calibrate", "a.laz", "--trajectory", "own.csv", "--out", "."]) == 2
     assert "it is an input" in capsys.readouterr().err
     assert hashes(full) == before
+
+
+@pytest.fixture
+def taken(full):
+    """A full folder in which each name that a command uses is taken."""
+    for name in NAMES:
+        (full / name).parent.mkdir(exist_ok=True)
+        (full / name).write_bytes(b"LASF" if ".laz" in name else b'{"files": ["my.laz"]}')
+    (full / "mimic" / "my.laz").write_bytes(b"mine")
+    (full / "path.csv").write_text("time,x,y,z\n0,0,0,0\n1,1,1,1\n")
+    return full
+
+
+@pytest.mark.parametrize("line", [*OF_FOLDERS, "student", "student copies mimic --checks"])
+def test_a_folder_of_other_files_is_refused_before_any_work(taken, capsys, line):
+    before = hashes(taken)
+    assert run([*line.split(), "."]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "in it is not from mmqa. Must be new" in said or "it contains" in said
+    assert {file: hashes(taken)[file] for file in before} == before
+
+
+def test_a_campaign_leaves_a_folder_of_its_name(taken):
+    before = hashes(taken)
+    with pytest.raises(ValueError, match=r"other files|not from mmqa"):
+        maps.map_campaign([taken / "street.laz"], taken)
+    assert hashes(taken) == before
+
+
+@given(name=st.sampled_from(NAMES), deep=st.booleans())
+def test_any_file_of_another_keeps_a_folder(name, deep):
+    with tempfile.TemporaryDirectory() as place:
+        other = Path(place) / ("sub" if deep else "") / name
+        other.parent.mkdir(parents=True, exist_ok=True)
+        other.write_text("mine")
+        with pytest.raises(ValueError, match="not from mmqa"), io.own_folder(place):
+            pytest.fail("opened")
+        assert [path for path in Path(place).rglob("*") if path.is_file()] == [other]
+
+
+def test_a_folder_of_an_earlier_run_is_used_again_and_a_mistake_leaves_none(tmp_path):
+    for content in "ab":
+        with io.own_folder(tmp_path / "results") as folder:
+            io.write_atomically(folder / "f.csv", content)
+    assert (folder / "f.csv").read_text() == "b"
+    with pytest.raises(KeyError), io.own_folder(tmp_path / "none"):
+        raise KeyError
+    assert [path.name for path in tmp_path.iterdir()] == ["results"]
+
+
+HOLDING = """
+import sys
+from mmqa_lab import io
+with io.own_folder(sys.argv[1]), io.own_folder(sys.argv[2]):
+    print(flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_two_runs_into_one_folder_are_refused_until_the_first_has_ended(full, capsys):
+    call = [sys.executable, "-c", HOLDING, full / "out", full / "m.run" / maps.OWN]
+    with subprocess.Popen(call, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
+        other.stdout.readline()
+        for line in [*(f"{line} out" for line in OF_FOLDERS), "map own.csv --out m.nc"]:
+            assert run(line.split()) == 2
+            said = capsys.readouterr().err
+            assert "another run writes into it. Must be another one." in said
+        other.kill()
+    assert run(["map", "own.csv", "--out", "m.nc"]) == 0
+    with io.own_folder(full / "out"):
+        pass
 
 
 @pytest.mark.parametrize("clouds", [["street.laz"], ["my_survey.xyz"], ["."]])

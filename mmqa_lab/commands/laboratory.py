@@ -4,6 +4,7 @@ import importlib
 import os
 import subprocess
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated
 
@@ -48,9 +49,8 @@ def bench(
     from concurrent.futures import ProcessPoolExecutor
     from dataclasses import replace
 
-    import pandas as pd
-
     from mmqa_lab import bench
+    from mmqa_lab.io import own_folder
     from mmqa_lab.studies import chosen
 
     comparison = chosen([study])[0].bench(quick=quick)
@@ -59,31 +59,40 @@ def bench(
     if taken:
         raise ValueError(f"Invalid method {min(taken)!r}: the study has it. Must have a new name.")
     comparison.methods = {**comparison.methods, **own}
-    if raise_ and own:
-        replace(comparison, methods=own, costs_cells=()).run()
-    pool = ProcessPoolExecutor(workers) if workers > 1 else None
-    results = comparison.run(executor=pool)
-    figures = [name for name in comparison.figures if name in results]
-    figures = figures or list(bench.figure_names(results))
-    rows = []
-    for name in figures:
-        part = bench.summary(results, name)
-        part.columns = ["method", "mean", "low", "high", "n", "missing"]
-        rows.append(part.assign(figure=name))
-    tables = comparison.tables(results) if comparison.tables else {}
-    tables["summary"] = pd.concat(rows, ignore_index=True)
-    answer = next(iter(tables.values()))
-    if out is not None:
-        kept = {"cells": bench.cell_table(results), "failures": bench.failures(results)}
-        drawn = {name: bench.summary(results, name) for name in figures}
-        if comparison.tables and list(answer)[2:4] == ["low", "high"]:
-            drawn = {answer.columns[1]: answer}
-        _write_bench(out, tables | kept, lambda: bench.plot_tables(drawn, own=[*own]))
+    with nullcontext() if out is None else own_folder(out):
+        if raise_ and own:
+            replace(comparison, methods=own, costs_cells=()).run()
+        pool = ProcessPoolExecutor(workers) if workers > 1 else None
+        results = comparison.run(executor=pool)
+        tables, drawn = _answers(comparison, results)
+        answer = next(iter(tables.values()))
+        if out is not None:
+            kept = {"cells": bench.cell_table(results), "failures": bench.failures(results)}
+            _write_bench(out, tables | kept, lambda: bench.plot_tables(drawn, own=[*own]))
     failed = bench.failures(results).query("method in @own").drop_duplicates("method")
     if failed.empty:
         return answer
     remarks = dict(zip(failed["method"], failed["method"] + ": " + failed["reason"], strict=True))
     return answer.assign(remarks=answer["method"].map(remarks).fillna(""))
+
+
+def _answers(comparison, results):
+    """The tables of a comparison, its answer first, and those that are drawn."""
+    import pandas as pd
+
+    from mmqa_lab import bench
+
+    figures = [name for name in comparison.figures if name in results]
+    figures = figures or bench.figure_names(results)
+    drawn = {name: bench.summary(results, name) for name in figures}
+    names = ["method", "mean", "low", "high", "n", "missing"]
+    rows = [part.set_axis(names, axis=1).assign(figure=name) for name, part in drawn.items()]
+    tables = comparison.tables(results) if comparison.tables else {}
+    tables["summary"] = pd.concat(rows, ignore_index=True)
+    answer = next(iter(tables.values()))
+    if comparison.tables and list(answer)[2:4] == ["low", "high"]:
+        drawn = {answer.columns[1]: answer}
+    return tables, drawn
 
 
 def _named_function(text):
@@ -146,6 +155,7 @@ def studies(
         Run nothing. Write the stored notebooks into this folder as pages, with a gallery, the
         ledger, the glossary and the public names.
     """
+    from mmqa_lab.io import own_folder
     from mmqa_lab.run import notebooks, pages, verdict
     from mmqa_lab.run import store as storing
     from mmqa_lab.studies import STUDIES, TOOLS, chosen, notebooks_folder, results_folder
@@ -153,18 +163,21 @@ def studies(
     if site is not None:
         from mmqa_lab.run.site import write_site
 
-        print(write_site(site, notebooks_folder(), [*chosen(names or []), *TOOLS]))
+        with own_folder(site):
+            print(write_site(site, notebooks_folder(), [*chosen(names or []), *TOOLS]))
         return 0
     usual = results_folder(notebooks_folder())
     folder = (out or (usual / "quick" if quick else usual)).resolve()
     wanted = [*chosen(names or []), *(TOOLS if store and not names else ())]
-    print(f"Results, as they arrive: {folder / 'index.html'}", flush=True)
     failed = False
-    for study, record in _run_studies(notebooks.run_study, wanted, folder, quick, workers):
-        untrue = not quick and any(not check["passed"] for check in record["checks"])
-        failed = failed or bool(record["failure"]) or untrue
-        print(f"{study.notebook:<24} {record['seconds']:6.1f} s  {verdict(record)}", flush=True)
-        pages.write_pages(folder, STUDIES)
+    ours = usual.parent == notebooks_folder() and out is None  # a repository's own
+    with own_folder(folder, ours=ours):
+        print(f"Results, as they arrive: {folder / 'index.html'}", flush=True)
+        for study, record in _run_studies(notebooks.run_study, wanted, folder, quick, workers):
+            untrue = not quick and any(not check["passed"] for check in record["checks"])
+            failed = failed or bool(record["failure"]) or untrue
+            print(f"{study.notebook:<24} {record['seconds']:6.1f} s  {verdict(record)}", flush=True)
+            pages.write_pages(folder, STUDIES)
     if store:
         storing.store(notebooks_folder(), folder, wanted)
     return int(failed)
@@ -237,15 +250,17 @@ def student(
         Write copies with the checks of the exercises into this folder. Those of the class then have
         none.
     """
+    from mmqa_lab.io import own_folder
     from mmqa_lab.run import students
     from mmqa_lab.studies import chosen
 
     wanted = chosen(names)
-    paths = students.write_student_notebooks(wanted, out, quick=quick, checks=checks is None)
-    if checks is not None:
-        paths += students.write_student_notebooks(wanted, checks, quick=quick)
-    if sheets is not None:
-        paths += students.write_solutions(wanted, sheets, quick=quick)
+    with nullcontext() if sheets is None else own_folder(sheets):
+        paths = students.write_student_notebooks(wanted, out, quick=quick, checks=checks is None)
+        if checks is not None:
+            paths += students.write_student_notebooks(wanted, checks, quick=quick)
+        if sheets is not None:
+            paths += students.write_solutions(wanted, sheets, quick=quick)
     print(*paths, sep="\n")
 
 

@@ -7,6 +7,7 @@ help is quick.
 
 import re
 import warnings
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -537,27 +538,30 @@ def calibrate(
     if out is not None and out.is_dir():
         inputs = [one for one in (*drives, *trajectory, control, poles) if one is not None]
         check_outputs([out / name for name in names], inputs)
-    clouds = [io.read_cloud(file) for file in progress(drives, "cloud")]
-    paths = [Trajectory.from_table(io.read_trajectory(file)) for file in trajectory]
-    paths = paths * len(clouds) if len(paths) == 1 else paths
-    if len(paths) != len(clouds):
-        raise ValueError(f"Invalid trajectories: {len(paths)}. Must be one, or one for each drive.")
-    heads = 1 + max(int(np.max(cloud["head"])) if "head" in cloud else 0 for cloud in clouds)
-    arms = lever_arm or ["0,0,0"] * heads
-    try:
-        arms = np.array([arm.split(",") for arm in arms], np.float64).reshape(len(arms), 3)
-    except ValueError:
-        raise ValueError(f"Invalid lever-arm {' '.join(arms)}. Must be X,Y,Z.") from None
-    found = boresight.calibrate(
-        list(zip(clouds, paths, strict=True)),
-        lever_arms_m=arms,
-        poles=None if poles is None else _targets(poles, kind="pole"),
-        control=None if control is None else io.read_heights(control),
-    )
-    if out is not None:
-        for name, cloud, path in zip(names, clouds, paths, strict=True):
-            io.write_cloud(out / name, found.correct(cloud, path))
-    return found.to_frame()
+    with nullcontext() if out is None else io.own_folder(out):
+        clouds = [io.read_cloud(file) for file in progress(drives, "cloud")]
+        paths = [Trajectory.from_table(io.read_trajectory(file)) for file in trajectory]
+        paths = paths * len(clouds) if len(paths) == 1 else paths
+        if len(paths) != len(clouds):
+            raise ValueError(
+                f"Invalid trajectories: {len(paths)}. Must be one, or one for each drive."
+            )
+        heads = 1 + max(int(np.max(cloud["head"])) if "head" in cloud else 0 for cloud in clouds)
+        arms = lever_arm or ["0,0,0"] * heads
+        try:
+            arms = np.array([arm.split(",") for arm in arms], np.float64).reshape(len(arms), 3)
+        except ValueError:
+            raise ValueError(f"Invalid lever-arm {' '.join(arms)}. Must be X,Y,Z.") from None
+        found = boresight.calibrate(
+            list(zip(clouds, paths, strict=True)),
+            lever_arms_m=arms,
+            poles=None if poles is None else _targets(poles, kind="pole"),
+            control=None if control is None else io.read_heights(control),
+        )
+        if out is not None:
+            for name, cloud, path in zip(names, clouds, paths, strict=True):
+                io.write_cloud(out / name, found.correct(cloud, path))
+        return found.to_frame()
 
 
 @table

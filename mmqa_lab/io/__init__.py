@@ -9,7 +9,7 @@ their names say.
 
 from mmqa_lab.io.cameras import read_camera
 from mmqa_lab.io.clouds import CLOUD_ENDINGS, LAS_ENDINGS, iterate_cloud, read_cloud, write_cloud
-from mmqa_lab.io.files import write_atomically
+from mmqa_lab.io.files import own_folder, write_atomically
 from mmqa_lab.io.images import IMAGE_ENDINGS, read_bands, read_heights, read_image
 from mmqa_lab.io.polygons import OUTLINE_ENDINGS, read_polygon, write_polygon
 from mmqa_lab.io.tables import (
@@ -27,6 +27,7 @@ __all__ = [
     "OUTLINE_ENDINGS",
     "coordinate_columns",
     "iterate_cloud",
+    "own_folder",
     "read_bands",
     "read_camera",
     "read_cloud",

@@ -6,17 +6,20 @@ import codecs
 import contextlib
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pandas as pd
 
 from mmqa_lab._checks import check_kind
 
-__all__ = ["plain_text", "reading", "write_atomically"]
+__all__ = ["own_folder", "plain_text", "reading", "write_atomically"]
 
 # Bytes at the beginning of a text file that tell its letters.
 HEAD = 65_536
+
+# The file by which a folder is known as one that the package writes.
+MARK = ".mmqa_lab"
 
 
 def write_atomically(path: str | os.PathLike, write: Callable | str | pd.DataFrame) -> None:
@@ -64,6 +67,77 @@ def write_atomically(path: str | os.PathLike, write: Callable | str | pd.DataFra
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def own_folder(folder: str | os.PathLike, *, ours: bool = False) -> Iterator[Path]:
+    """Hold a folder whose files a run may replace: new, empty, or marked by an earlier run.
+
+    Whatever else lies in it stays: such a folder is refused. So is one that another run holds. A
+    folder that is empty in the end, as after a mistake, is removed if it was made here.
+
+    Parameters
+    ----------
+    folder : path
+        Made where missing.
+    ours : bool
+        The folder needs no mark, as that of a repository's results.
+
+    Raises
+    ------
+    OSError
+        If no file can be made there.
+    ValueError
+        If it has files of others, or another run writes into it.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as place:
+    ...     with own_folder(f"{place}/results") as folder:
+    ...         write_atomically(folder / "f.csv", "whole")
+    ...     [path.name for path in sorted(folder.iterdir())]
+    ['.mmqa_lab', 'f.csv']
+    """
+    folder, made = Path(folder), not Path(folder).exists()
+    inside = sorted(folder.iterdir()) if folder.is_dir() else []
+    if inside and not ours and not (folder / MARK).is_file():
+        found = f"{inside[0].name} in it is not from mmqa"
+        raise ValueError(f"Invalid folder {folder}: {found}. Must be new, empty or of such a run.")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        file = (folder / MARK).open("a", encoding="utf-8")
+    except OSError as error:
+        raise OSError(f"Invalid folder {folder}: {error.strerror}. Must be writable.") from error
+    try:
+        with file:
+            _lock(file, folder)
+            if not file.tell():
+                file.write("mmqa_lab writes into this folder and may replace its files.\n")
+                file.flush()
+            yield folder
+    finally:
+        if made and [path.name for path in folder.iterdir()] == [MARK]:
+            (folder / MARK).unlink()
+            folder.rmdir()
+
+
+def _lock(file, folder):
+    """Keep other runs out of a folder; the lock of its file ends with this process."""
+    try:
+        if os.name == "nt":
+            import msvcrt
+
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (BlockingIOError, PermissionError) as error:
+        found = "another run writes into it"
+        raise ValueError(f"Invalid folder {folder}: {found}. Must be another one.") from error
+    except OSError:  # a file system without locks
+        pass
 
 
 @contextlib.contextmanager
