@@ -1,10 +1,12 @@
 """The form of the notebooks: short cells and paragraphs, bookkeeping apart, figures with words."""
 
 import ast
+import functools
 import re
 
 import nbformat
 import pytest
+from IPython.core.inputtransformer2 import TransformerManager
 
 from mmqa_lab.studies import STUDIES, TOOLS
 
@@ -74,3 +76,133 @@ def test_what_has_not_the_form_is_found():
     cells[-1].metadata = {"tags": ["results"], "jupyter": {"source_hidden": True}}
     found = list(faults(nbformat.v4.new_notebook(cells=cells)))
     assert len(found) == len(cells)
+
+
+SAYS_PRINT = re.compile(r"\b(print|prints|printed|published|ledger|Tables? \d)\b")
+"""Words of a check that speaks of printed numbers."""
+
+READS_PRINT = re.compile(r"\bpublished\.(?!ledger)\w+\(|\[\[?'\w*(published|printed)\w*'")
+"""Code that reads printed numbers: of the package's tables, or a column of them."""
+
+READS_VERDICT = re.compile(r"\b(agrees|verdicts)\(")
+
+NO_VERDICT = {
+    "Every printed f is d4/d1": "print against print",
+    "Five simulated selections of B at 10 m: the density": "the print is a limit that is drawn",
+    "The spread of the density of a random": "print is drawn beside it",
+    "Far off, the published distance": "a method that is published, against the truth",
+    "Estimating the displacement first": "methods against each other",
+    "Each row of Table 4": "counts of two readings; the ledger has one",
+    "On streets of the kind it was trained on": "methods against each other",
+    "The street was chosen for it": "Wilson intervals of both, and it says so",
+    "The scan-line method finds a smaller share": "ours against ours",
+    "Sheets predict heights better": "a prediction against a constant",
+    "Pixels of A are coarser": "how far, where the ledger says that they differ",
+    "One number of pixels a pair": "rules against each other",
+    "Contrast alone accepts": "bars that are printed on a chart",
+    "Upright, at 40 km/h, B": "how far, where the ledger says that it differs",
+    "At 1 MHz and 200 Hz, A's": "what goes with a printed value, not the value",
+    "One stereo pair misses": "models against each other",
+    "The adjustment removes nine tenths": "simulated with printed noise",
+    "With ten control targets": "simulated with printed noise",
+}
+"""How checks begin that speak of print, or are worked out with it, and have no verdict on a cell:
+what they compare instead."""
+
+
+def targets(node, *kinds):
+    """The names that parts of these kinds bind for their own statement alone."""
+    bound = [part.target for part in ast.walk(node) if isinstance(part, kinds)]
+    return {n.id for one in bound for n in ast.walk(one) if isinstance(n, ast.Name)}
+
+
+@functools.cache
+def stored(node):
+    """The names that a statement sets or fills."""
+    if isinstance(node, ast.FunctionDef):
+        return {node.name}
+    parts = list(ast.walk(node))
+    places = [part for part in parts if isinstance(getattr(part, "ctx", None), ast.Store)]
+    calls = [part.func for part in parts if isinstance(part, ast.Call)]
+    filled = {"append", "extend", "update"}
+    places += [c.value for c in calls if isinstance(c, ast.Attribute) and c.attr in filled]
+    names = {getattr(getattr(place, "value", place), "id", "") for place in places}
+    return names - targets(node, ast.comprehension)
+
+
+@functools.cache
+def loaded(node):
+    """The names that a statement reads from above."""
+    parts = list(ast.walk(node))
+    own = {part.arg for part in parts if isinstance(part, ast.arg)}
+    own |= targets(node, ast.comprehension, ast.For)
+    if isinstance(node, ast.FunctionDef):
+        own |= {n.id for n in parts if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
+    read = {n.id for n in parts if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Load)}
+    return read - own
+
+
+def leading_to(nodes, place, names):
+    """The code of the statements above a place that lead to the values of names there."""
+    found, waiting = set(), [(name, place) for name in names]
+    for name, before in waiting:  # it grows
+        for k in range(before - 1, -1, -1):
+            if name in stored(nodes[k]):
+                found.add(k)
+                waiting += [new for n in loaded(nodes[k]) if (new := (n, k)) not in waiting]
+                if isinstance(nodes[k], ast.Assign | ast.FunctionDef):
+                    break
+    return "\n".join(ast.unparse(nodes[k]) for k in sorted(found))
+
+
+def checks_on_print(notebook):
+    """The statement of each check that speaks of print or reads it, and if it reads a verdict."""
+    code = [cell.source for cell in notebook.cells if cell.cell_type == "code"]
+    code = [TransformerManager().transform_cell(text) for text in code]
+    nodes = [node for text in code for node in ast.parse(text).body]
+    nodes = [node for node in nodes if not isinstance(node, ast.Import | ast.ImportFrom)]
+    for place, node in enumerate(nodes):
+        for call in (part for part in ast.walk(node) if isinstance(part, ast.Call)):
+            if ast.unparse(call.func) == "run.check":
+                statement, passed, *others = call.args
+                work = leading_to(nodes, place, loaded(passed) - {"run"}) + ast.unparse(passed)
+                words = " ".join(map(ast.unparse, (statement, *others)))
+                if SAYS_PRINT.search(words) or READS_PRINT.search(work):
+                    yield ast.unparse(statement).strip("'\""), bool(READS_VERDICT.search(work))
+
+
+def test_a_check_on_print_reads_the_verdict_of_the_ledger():
+    found = [one for study in STUDIES for one in checks_on_print(nbformat.read(study.path, 4))]
+    own = [statement for statement, verdict in found if not verdict]
+    assert [one for one in own if not one.startswith(tuple(NO_VERDICT))] == []
+    assert [one for one in NO_VERDICT if not any(s.startswith(one) for s in own)] == []
+    assert sum(verdict for _, verdict in found) >= 6
+
+
+@pytest.mark.parametrize(
+    ("passed", "verdict"),
+    [
+        ("abs(ours - said) < 1", False),
+        ("right.all()", False),
+        ("near", False),
+        ("run.agrees('pfeifer2021 table_2 A 5 m d1')", True),
+        ("reached.all()", True),
+    ],
+)
+def test_a_check_with_a_comparison_of_its_own_is_found(passed, verdict):
+    work = """table = published.table("pfeifer2021", "table_2")
+said = published.number("pfeifer2021", "f_threshold")["value"]
+ours = 3
+right = pd.Series([(table["d1"] - ours).abs() < 1])
+reached = pd.Series([run.agrees(cell) for cell in cells])
+def close(x):
+    return x - said < 1
+near = close(ours)"""
+    check = f'run.check("d1 is 4 mm.", {passed}, f"{{ours}} mm", "rounding")'
+    cells = [nbformat.v4.new_code_cell(text) for text in (work, check)]
+    found = list(checks_on_print(nbformat.v4.new_notebook(cells=cells)))
+    assert found == ([] if "agrees" in passed or "reached" in passed else [("d1 is 4 mm.", False)])
+    named = check.replace("d1 is", "The printed d1 is")
+    cells[1].source = named
+    found = list(checks_on_print(nbformat.v4.new_notebook(cells=cells)))
+    assert found == [("The printed d1 is 4 mm.", verdict)]
