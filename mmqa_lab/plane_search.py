@@ -9,20 +9,21 @@ as walls and roads, and leave their detection to a companion paper.
 
 from __future__ import annotations
 
+import math
 import warnings
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike
-from scipy.sparse import csr_array, eye_array
-from scipy.spatial import cKDTree
 from scipy.special import lambertw
 
 from mmqa_lab._checks import check_points, check_positive
-from mmqa_lab.cloud import sort_into_cells
+from mmqa_lab._compiled import in_threads
+from mmqa_lab.cloud import extent, sort_into_cells
 from mmqa_lab.planes import Plane, fit_plane, sigma_mad
 
-__all__ = ["CELLS_PER_SIZE", "Grid", "PlanePart", "detect_planes", "own_order", "usual_size"]
+__all__ = ["CELLS_PER_SIZE", "Grid", "PlanePart", "detect_planes", "usual_size"]
 
 CELLS_PER_SIZE, LEAST_AREA = 4, 0.25
 """Cells of the grid along the smallest plane, and its least area in squared sizes (1 m2 at 2 m).
@@ -39,8 +40,9 @@ TRIM, TRIMMED = 2.5, 1.05
 """Points farther from their plane than TRIM standard deviations are not fitted. The factor TRIMMED
 corrects the standard deviation of trimmed normal errors, and that of their mean."""
 
-LEAST_TRIAL = 6
-"""Least number of points of a trial."""
+LEAST_TRIAL, DRAWN = 6, 3
+"""Least number of points of a trial, and most points of it from one cell, so that dense and sparse
+parts count alike."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +146,9 @@ def detect_planes(
     size = check_positive(size, "size", unit="m")
     if len(points) < FEWEST_LIMITS[0]:
         return []
-    order = own_order(points)
+    # sums and trials depend on the points alone, not on the order of their rows
+    x, y, z = (points - extent(points)[0]).T
+    order = np.argsort(x + np.sqrt(2) * y + np.sqrt(3) * z, kind="stable")
     grid = Grid(points[order], size / CELLS_PER_SIZE)
     in_cell = _points_per_cell(grid.start)
     if in_cell < 1:  # surfaces are not connected
@@ -158,14 +162,7 @@ def detect_planes(
     for _ in range(4):
         if not search.round():
             break
-    owner, clear = (values[np.argsort(order[grid.order])] for values in search.assigned())
-    return _parts(points, owner, clear, tolerance, minimum)
-
-
-def own_order(points: np.ndarray) -> np.ndarray:
-    """Rows of points (n, 3) in an order that depends on the points alone."""
-    x, y, z = (points - points.min(axis=0, initial=np.inf)).T
-    return np.argsort(x + np.sqrt(2) * y + np.sqrt(3) * z, kind="stable")
+    return search.parts(points, order[grid.order])
 
 
 def usual_size(points: np.ndarray) -> float:
@@ -192,208 +189,289 @@ def _points_per_cell(start):
     return mean + lambertw(-mean * np.exp(-mean)).real
 
 
-def _parts(points, owner, clear, tolerance, minimum):
-    """Fitted parts of each owner's points; groups without a clear plane are left out."""
-    parts = []
-    for index in _members(owner, owner.max() + 1):
-        fitted = index[clear[index]]
-        if len(index) < minimum or len(fitted) < 3:
-            continue
-        plane = fit_plane(points[fitted])
-        width = np.std(plane.project(points[fitted])[:, 1])
-        # points without any plane have a ratio of 0.58
-        if plane.std > 0.48 * tolerance or width < 1.2 * tolerance:
-            continue
-        # points of window reveals lie on one side of a wall, within the tolerance
-        for _ in range(2):
-            most = TRIM * max(sigma_mad(plane.residuals), 0.02 * tolerance)
-            core = fitted[np.abs(plane.distances(points[fitted])) <= most]
-            plane = fit_plane(points[core])
-        moments = (plane.project(points[core]) ** 2).sum(axis=0)
-        sigma = TRIMMED * np.sqrt((plane.residuals**2).sum() / max(len(core) - 3, 1))
-        parts.append(PlanePart(plane, index, fitted, moments, float(sigma)))
-    return sorted(parts, key=len, reverse=True)
-
-
 class Grid:
     """Points sorted into the cubic cells that they occupy.
 
-    ``points`` are relative to their mean and in the order of the cells; ``order`` has their rows in
-    the cloud, ``cell`` their cells. ``start`` bounds the cells and ``size`` counts their points.
-    ``near`` (cells, cells) is true where two cells are the same or touch. ``places`` has the
-    indices of the cells.
+    ``points`` are relative to their lowest corner and in the order of the cells; ``order`` has
+    their rows in the cloud. ``start`` bounds the cells and ``places`` has their indices.
     """
 
     def __init__(self, points, edge):
-        self.edge, low = edge, points.min(axis=0)
-        self.order, self.start, self.places = sort_into_cells(points - low, edge)
-        self.points = (points - points.mean(axis=0))[self.order]
-        self.size = np.diff(self.start)
-        n = len(self.size)
-        self.cell = np.repeat(np.arange(n), self.size)
-        pairs = cKDTree(self.places).query_pairs(1, p=np.inf, output_type="ndarray").T
-        half = csr_array((np.ones(pairs.shape[1], dtype=bool), pairs.astype(np.int32)), (n, n))
-        self.near = csr_array(half + half.T + eye_array(n, dtype=bool))
+        self.edge, low = edge, extent(points)[0]
+        points = points - low
+        self.order, self.start, self.places = sort_into_cells(points, edge)
+        self.points = points[self.order]
+        # with five more places no cell follows one that it does not touch
+        self.shape = self.places.max(axis=0) + 5
+        self.keys = np.ravel_multi_index((self.places + 2).T, self.shape)
 
-    def rows(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Rows of the points in some cells, and the index at which each cell begins."""
-        first = np.cumsum(self.size[cells]) - self.size[cells]
-        total = self.size[cells].sum()
-        return np.repeat(self.start[cells] - first, self.size[cells]) + np.arange(total), first
-
-    def around(self, cells: np.ndarray) -> np.ndarray:
-        """The given cells and all cells that touch one of them."""
-        bounds, places = self.near.indptr, self.near.indices
-        first, number = bounds[cells], bounds[cells + 1] - bounds[cells]
-        rest = np.repeat(first - np.cumsum(number) + number, number)
-        return np.unique(places[rest + np.arange(len(rest))])
+    def near(self, cells: np.ndarray, reach: int) -> np.ndarray:
+        """Runs (first, last + 1) of the cells within ``reach`` of some cells, (n, columns, 2)."""
+        side = np.arange(-reach, reach + 1)
+        column = (side[:, None] * self.shape[1] + side).ravel() * self.shape[2]
+        middle = self.keys[cells, None] + column
+        bounds = middle - reach, middle + reach + 1
+        return np.stack([np.searchsorted(self.keys, bound) for bound in bounds], axis=-1)
 
 
 class _Search:
-    """Planes found so far and the points that they own."""
+    """Planes found so far (centre, normal), the cells around each, and the owners of the points."""
 
     def __init__(self, grid, tolerance, least_points):
         self.grid, self.tolerance, self.least = grid, tolerance, least_points
+        self.cells = grid.points, grid.start, grid.near(np.arange(len(grid.keys)), 1)
         self.owner = np.full(len(grid.points), -1)
-        self.seen, self.spreads = np.zeros(len(grid.size), dtype=int), 0
-        self.planes, self.taken = [], []
+        self.planes, self.around = [], []
         self.trials = np.random.default_rng(0).random((32, 3))
 
     def round(self):
         """Try planes among the free points and grow them; return whether any was found."""
         grid, before = self.grid, len(self.planes)
-        free = np.flatnonzero(self.owner < 0)
-        counts = np.bincount(grid.cell[free], minlength=len(grid.size))
+        counts = np.add.reduceat(self.owner < 0, grid.start[:-1], dtype=np.int64)
         # the fullest cell of every block of eight
         fullest = np.argsort(-counts, kind="stable")[: np.count_nonzero(counts)]
-        seeds = fullest[np.unique(grid.places[fullest] // 2, axis=0, return_index=True)[1]]
-        first = np.searchsorted(grid.cell[free], np.arange(len(counts)))
-        rank = np.arange(len(free)) - first[grid.cell[free]]
-        # about three points per cell, so that dense and sparse parts count alike
-        stride = -(-counts // 3)[grid.cell[free]]
-        drawn = grid.points[free[rank % stride == 0]]
-        tree, low = cKDTree(drawn), grid.points[grid.start[seeds]]
-        pieces = []
-        for part in np.array_split(low, len(low) // 100 + 1):
-            near = tree.query(part, 64, p=np.inf, distance_upper_bound=2.5 * grid.edge)[1]
-            pieces.append(_pieces(drawn, near, self.trials, self.tolerance, grid.edge))
-        scores, centres, normals = (np.concatenate(part) for part in zip(*pieces, strict=True))
-        for k in np.argsort(-scores, kind="stable"):
-            if scores[k] <= LEAST_TRIAL / 2:
-                break
-            self.grow(seeds[k], centres[k], normals[k])
+        blocks = np.ravel_multi_index((grid.places[fullest] // 2).T, grid.shape)
+        seeds = fullest[np.unique(blocks, return_index=True)[1]]
+        planes, scores = np.zeros((len(seeds), 2, 3)), np.zeros(len(seeds))
+        given = self.cells, self.owner, counts, grid.near(seeds, 2), self.trials
+        limits = self.tolerance, 0.5 * grid.edge**2
+        in_threads(_try_planes, len(seeds), *given, *limits, planes, scores)
+        best = np.argsort(-scores, kind="stable")
+        best = best[scores[best] > LEAST_TRIAL / 2]
+        seeds, planes = seeds[best], planes[best]
+        marks, seen = np.zeros((2, len(counts)), dtype=np.int64)
+        done, limits = 0, (self.tolerance, self.least)
+        while done < len(seeds):
+            given = self.cells, self.owner, len(self.planes), seeds, planes, limits
+            done, n = _grow(*given, done, marks, seen)
+            if n:
+                self.planes.append(planes[done - 1])
+                self.around.append(seen[:n].copy())
         return len(self.planes) > before
 
-    def grow(self, seed, centre, normal):
-        """Keep the plane of the points connected with the cell of a seed, if it is large enough."""
-        cells, grown = np.array([seed]), 0
-        for _ in range(4):
-            cells, rows, beside = self._spread(cells, centre, normal)
-            if len(cells) < LEAST_AREA * CELLS_PER_SIZE**2 or len(rows) < self.least:
-                return
-            if len(cells) <= grown:
-                break
-            grown, (centre, normal) = len(cells), _fitted(self.grid.points[rows])
-        if len(rows) < 1.5 * beside:  # a filled volume has twice as many points beside
-            return
-        self.owner[rows] = len(self.planes)
-        self.planes.append((centre, normal))
-        self.taken.append(cells)
+    def parts(self, points, rows):
+        """Fitted parts of a cloud with these rows in the cells; none without a clear plane.
 
-    def _spread(self, front, centre, normal):
-        """Connected cells that a plane takes, its free points in them, number of points beside."""
-        cells, rows, beside = [], [], 0
-        self.spreads += 1
-        while len(front):
-            self.seen[front] = self.spreads
-            within, first = self.grid.rows(front)
-            off = np.abs((self.grid.points[within] - centre) @ normal)
-            free = self.owner[within] < 0
-            on = free & (off <= self.tolerance)
-            # tails of a noisy wall and strips of a floor have a smaller share
-            least = np.maximum(1, 0.25 * self.grid.size[front])
-            takes = np.add.reduceat(on, first, dtype=int) >= least
-            cells.append(front[takes])
-            rows.append(within[on & np.repeat(takes, self.grid.size[front])])
-            beside += (free & (off <= 3 * self.tolerance)).sum() - len(rows[-1])
-            front = self.grid.around(cells[-1])
-            front = front[self.seen[front] < self.spreads]
-        return np.concatenate(cells), np.concatenate(rows), beside
-
-    def assigned(self):
-        """Owner (the nearest plane) of each point, and whether it is the only plane.
-
-        The owner is -1 if no plane is within the tolerance. A plane is the only plane of a point if
-        the foot of the point on it is clear of all others. With this rule noise removes as many
-        points on one side of the plane as on the other.
+        The owner of a point is the nearest plane around it within the tolerance. That is the only
+        plane of the point if its foot there is clear of all others. With this rule noise removes
+        as many points on one side of the plane as on the other.
         """
-        grid, points, planes = self.grid, self.grid.points, list(self.planes)
-        around = [grid.rows(grid.around(cells))[0] for cells in self.taken]
+        if not self.planes:
+            return []
+        planes, n = np.array(self.planes), len(rows)
+        bounds = np.cumsum([0, *map(len, self.around)])
+        surfaces = np.concatenate(self.around), bounds, planes
         for _ in range(2):
-            least = np.full(len(points), self.tolerance)
-            owner, height = np.full(len(points), -1), np.zeros(len(points))
-            for k, (centre, normal) in enumerate(planes):
-                rows = around[k]
-                off = (points[rows] - centre) @ normal
-                nearer = np.abs(off) <= least[rows]
-                rows, off = rows[nearer], off[nearer]
-                owner[rows], height[rows], least[rows] = k, off, np.abs(off)
-            clear, normals = owner >= 0, np.array([normal for _, normal in planes]).reshape(-1, 3)
-            for k, (centre, normal) in enumerate(planes):
-                rows = around[k][(owner[around[k]] >= 0) & (owner[around[k]] != k)]
-                foot = (points[rows] - centre) @ normal
-                foot -= (normals @ normal)[owner[rows]] * height[rows]
-                clear[rows] &= np.abs(foot) > self.tolerance
-            for k, rows in enumerate(_members(np.where(clear, owner, -1), len(planes))):
-                if len(rows) >= 3:
-                    planes[k] = _fitted(points[rows])
-        return owner, clear
+            owner, height, clear = np.full(n, -1), np.full(n, self.tolerance), np.full(n, True)
+            values = _assign(self.cells, *surfaces, self.tolerance, owner, height, clear)
+        order = np.argsort(owner, kind="stable")
+        starts = np.searchsorted(owner[order], np.arange(len(planes) + 1))
+        parts = []
+        for k, index in enumerate(np.split(order, starts)[1:-1]):
+            fitted = index[clear[index]]
+            if len(index) < self.least or len(fitted) < 3:
+                continue
+            spread = np.sqrt(np.maximum(values[k], 0) / len(fitted))
+            # points without any plane have a ratio of 0.58
+            if spread[0] > 0.48 * self.tolerance or spread[1] < 1.2 * self.tolerance:
+                continue
+            parts.append(_part(points, rows[index], rows[fitted], self.tolerance))
+        return sorted(parts, key=len, reverse=True)
 
 
-def _members(owner, number):
-    """Rows of the points of each owner."""
-    order = np.argsort(owner, kind="stable")
-    return np.split(order, np.searchsorted(owner[order], np.arange(number + 1)))[1:-1]
+def _part(points, index, clear, tolerance):
+    """The part of a plane's points, fitted to those that are clear of other planes."""
+    plane = fit_plane(points[clear])
+    # points of window reveals lie on one side of a wall, within the tolerance
+    for _ in range(2):
+        most = TRIM * max(sigma_mad(plane.residuals), 0.02 * tolerance)
+        core = clear[np.abs(plane.distances(points[clear])) <= most]
+        plane = fit_plane(points[core])
+    moments = (plane.project(points[core]) ** 2).sum(axis=0)
+    sigma = TRIMMED * np.sqrt((plane.residuals**2).sum() / max(len(core) - 3, 1))
+    return PlanePart(plane, index, clear, moments, float(sigma))
 
 
-def _fitted(points):
-    """Centre and unit normal of the least-squares plane."""
-    centre = points.mean(axis=0)
-    local = points - centre
-    return centre, np.linalg.eigh(local.T @ local)[1][:, 0]
+@njit(cache=True)
+def _off(points, p, plane):
+    """Signed distance of a point from a plane."""
+    x, y, z = points[p, 0] - plane[0, 0], points[p, 1] - plane[0, 1], points[p, 2] - plane[0, 2]
+    return x * plane[1, 0] + y * plane[1, 1] + z * plane[1, 2]
 
 
-def _pieces(drawn, near, trials, tolerance, edge):
-    """Planes fitted to what the best planes of three points take: score, centre, normal.
+@njit(cache=True)
+def _add(moments, points, p, plane):
+    """Add a point to the moments (4, 4): products of 1, x, y and z about a plane's centre."""
+    x, y, z = points[p, 0] - plane[0, 0], points[p, 1] - plane[0, 1], points[p, 2] - plane[0, 2]
+    place = 1.0, x, y, z
+    for i in range(4):
+        for j in range(4):
+            moments[i, j] += place[i] * place[j]
 
-    ``near`` (seeds, points) are rows of ``drawn``, or one behind its last where there is none.
+
+@njit(cache=True)
+def _fit(moments, plane):
+    """Write the least-squares plane of moments about its centre; return the sums of squares."""
+    n, sums, scatter = moments[0, 0], moments[0, 1:], moments[1:, 1:].copy()
+    for i in range(3):
+        plane[0, i] += sums[i] / n
+        for j in range(3):
+            scatter[i, j] -= sums[i] * sums[j] / n
+    values, vectors = np.linalg.eigh(scatter)
+    plane[1] = vectors[:, 0]
+    return values
+
+
+@njit(cache=True)
+def _drawn(cells, owner, counts, near, local):
+    """Write free points of some runs of cells, evenly drawn, as columns; return their number."""
+    points, start, _ = cells
+    n = 0
+    for first, last in near:
+        for cell in range(first, last):
+            stride, free = (counts[cell] + DRAWN - 1) // DRAWN, 0
+            for p in range(start[cell], start[cell + 1]):
+                if owner[p] < 0:
+                    if free % stride == 0:
+                        for i in range(3):
+                            local[i, n] = points[p, i]
+                        n += 1
+                    free += 1
+    return n
+
+
+@njit(cache=True, nogil=True)
+def _try_planes(
+    begin, end, cells, owner, counts, near, trials, tolerance, least_area, planes, scores
+):
+    """Write the plane fitted to what the best plane of three points takes, and its score."""
+    room = np.empty((3, DRAWN * 125))
+    for s in range(begin, end):
+        n, best, plane = _drawn(cells, owner, counts, near[s], room), 0, planes[s]
+        if n < LEAST_TRIAL:
+            continue
+        x, y, z = room[0, :n], room[1, :n], room[2, :n]
+        for t in range(len(trials)):
+            a, b, c = int(trials[t, 0] * n), int(trials[t, 1] * n), int(trials[t, 2] * n)
+            ux, uy, uz = x[b] - x[a], y[b] - y[a], z[b] - z[a]
+            vx, vy, vz = x[c] - x[a], y[c] - y[a], z[c] - z[a]
+            nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+            area = math.sqrt(nx * nx + ny * ny + nz * nz)
+            if area <= least_area:
+                continue
+            nx, ny, nz = nx / area, ny / area, nz / area
+            offset, votes = x[a] * nx + y[a] * ny + z[a] * nz, 0
+            for k in range(n):
+                votes += abs(x[k] * nx + y[k] * ny + z[k] * nz - offset) <= tolerance
+            if votes > best:
+                best = votes
+                plane[0, 0], plane[0, 1], plane[0, 2] = x[a], y[a], z[a]
+                plane[1, 0], plane[1, 1], plane[1, 2] = nx, ny, nz
+        if best < LEAST_TRIAL:
+            continue
+        moments = np.zeros((4, 4))
+        for k in range(n):
+            if abs(_off(room.T, k, plane)) <= tolerance:
+                _add(moments, room.T, k, plane)
+        # points without any plane have a mean square residual of a third of the squared tolerance
+        number = moments[0, 0]
+        scores[s] = number - _fit(moments, plane)[0] / (tolerance**2 / 3)
+
+
+@njit(cache=True)
+def _spread(cells, owner, seed, plane, tolerance, mark, marks, seen, moments):
+    """Cells seen from those that a plane takes, from a seed on: their number and that of taken.
+
+    ``moments`` become those of its free points there. ``marks`` of cells seen become ``mark``, of
+    those taken one more. The last number returned is that of free points beside the plane.
     """
-    there = near < len(drawn)
-    local = np.concatenate([drawn, np.zeros((1, 3))])[near]  # (seeds, points, 3)
-    picks = (trials * there.sum(axis=1)[:, None, None]).astype(int)  # (seeds, trials, 3)
-    normals, offsets, wide = _through_three(local, picks, edge)
-    off = np.abs(np.einsum("std,snd->stn", normals, local) - offsets[..., None])
-    near_plane = (off <= tolerance) & there[:, None]  # (seeds, trials, points)
-    votes = near_plane.sum(axis=2) * wide
-    chosen = near_plane[np.arange(len(votes)), votes.argmax(axis=1)]
-    score, centre, normal = _fitted_to(local, chosen, tolerance)
-    return np.where(votes.max(axis=1) >= LEAST_TRIAL, score, 0.0), centre, normal
+    points, start, near = cells
+    marks[seed], seen[0] = mark, seed
+    done, n, taken, beside = 0, 1, 0, 0
+    moments[:] = 0
+    while done < n:
+        cell, on = seen[done], 0
+        done += 1
+        for p in range(start[cell], start[cell + 1]):
+            if owner[p] < 0:
+                off = abs(_off(points, p, plane))
+                on += off <= tolerance
+                beside += off <= 3 * tolerance
+        # tails of a noisy wall and strips of a floor have a smaller share
+        if on == 0 or on < 0.25 * (start[cell + 1] - start[cell]):
+            continue
+        taken, beside, marks[cell] = taken + 1, beside - on, mark + 1
+        for p in range(start[cell], start[cell + 1]):
+            if owner[p] < 0 and abs(_off(points, p, plane)) <= tolerance:
+                _add(moments, points, p, plane)
+        for first, last in near[cell]:
+            for other in range(first, last):
+                if marks[other] < mark:
+                    marks[other], seen[n] = mark, other
+                    n += 1
+    return n, taken, beside
 
 
-def _through_three(local, picks, edge):
-    """Planes through three points: normals, distances from the origin, whether wide enough."""
-    a, b, c = (np.take_along_axis(local, picks[..., i, None], axis=1) for i in range(3))
-    across = np.cross(b - a, c - a)
-    area = np.linalg.norm(across, axis=2)
-    normals = across / np.maximum(area, 1e-12)[..., None]
-    return normals, (normals * a).sum(axis=2), area > 0.5 * edge**2
+@njit(cache=True)
+def _grow(cells, owner, number, seeds, planes, limits, done, marks, seen):
+    """Grow planes until one is large enough, which gets the number.
+
+    Returns the number of seeds done and that of cells around the plane, 0 if there is none.
+    """
+    (points, start, _), moments = cells, np.zeros((4, 4))
+    tolerance, least = limits
+    for s in range(done, len(seeds)):
+        grown, enough = 0, True
+        for turn in range(4):
+            mark = 8 * s + 2 * turn + 1
+            if turn:
+                _fit(moments, planes[s])
+            n, taken, beside = _spread(
+                cells, owner, seeds[s], planes[s], tolerance, mark, marks, seen, moments
+            )
+            enough = taken >= LEAST_AREA * CELLS_PER_SIZE**2 and moments[0, 0] >= least
+            if not enough or taken <= grown:
+                break
+            grown = taken
+        # a filled volume has twice as many points beside
+        if not enough or moments[0, 0] < 1.5 * beside:
+            continue
+        for cell in seen[:n]:
+            for p in range(start[cell], start[cell + 1] if marks[cell] > mark else 0):
+                if owner[p] < 0 and abs(_off(points, p, planes[s])) <= tolerance:
+                    owner[p] = number
+        return s + 1, n
+    return len(seeds), 0
 
 
-def _fitted_to(local, chosen, tolerance):
-    """Least-squares planes of the chosen points (seeds, points): score, centre, normal."""
-    number = np.maximum(chosen.sum(axis=1), 1)
-    centre = (local * chosen[..., None]).sum(axis=1) / number[:, None]
-    shifted = (local - centre[:, None]) * chosen[..., None]
-    values, vectors = np.linalg.eigh(shifted.swapaxes(1, 2) @ shifted)
-    # points without any plane have a mean square residual of a third of the squared tolerance
-    return number * (1 - values[:, 0] / number / (tolerance**2 / 3)), centre, vectors[:, :, 0]
+@njit(cache=True)
+def _assign(cells, around, bounds, planes, tolerance, owner, height, clear):
+    """Write the owner of each point, its height above that plane and whether it is the only one.
+
+    The planes are then fitted to those points. Returns their sums of squares (planes, 3) about the
+    centre, along the normal first.
+    """
+    (points, start, _), n = cells, len(planes)
+    for k in range(n):
+        for cell in around[bounds[k] : bounds[k + 1]]:
+            for p in range(start[cell], start[cell + 1]):
+                off = _off(points, p, planes[k])
+                if abs(off) <= abs(height[p]):
+                    owner[p], height[p] = k, off
+    for k in range(n):
+        for cell in around[bounds[k] : bounds[k + 1]]:
+            for p in range(start[cell], start[cell + 1]):
+                own = owner[p]
+                if own >= 0 and own != k:
+                    cosine = 0.0
+                    for i in range(3):
+                        cosine += planes[k, 1, i] * planes[own, 1, i]
+                    clear[p] &= abs(_off(points, p, planes[k]) - cosine * height[p]) > tolerance
+    moments, values = np.zeros((n, 4, 4)), np.zeros((n, 3))
+    for p in range(len(points)):
+        if owner[p] >= 0 and clear[p]:
+            _add(moments[owner[p]], points, p, planes[owner[p]])
+    for k in range(n):
+        if moments[k, 0, 0] >= 3:
+            values[k] = _fit(moments[k], planes[k])
+    return values

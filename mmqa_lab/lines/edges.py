@@ -7,10 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.sparse import csc_array
 
 from mmqa_lab._checks import check_points
-from mmqa_lab.plane_search import CELLS_PER_SIZE, Grid, detect_planes, own_order, usual_size
+from mmqa_lab.plane_search import CELLS_PER_SIZE, Grid, detect_planes, usual_size
 
 __all__ = ["Edges", "extract_edges"]
 
@@ -104,7 +103,6 @@ def extract_edges(
     (1, [5.0])
     """
     points = check_points(points, minimum=0)
-    points = points[own_order(points)]  # sums and trials do not depend on the order of rows
     size = usual_size(points) if size is None else size
     patches = detect_planes(points, tolerance=tolerance, size=size)
     rows = []
@@ -124,18 +122,23 @@ class _Lines:
 
     def __init__(self, points, patches, reach, tolerance):
         self.patches, self.reach, self.tolerance = patches, reach, tolerance
-        owned = points[np.concatenate([patch.clear for patch in patches])]
+        owned = np.concatenate([patch.clear for patch in patches])
         owner = np.repeat(np.arange(len(patches)), [len(patch.clear) for patch in patches])
-        self.origin, self.grid = owned.mean(axis=0), Grid(owned, reach)
-        self.owner = owner[self.grid.order]
+        self.origin, grid = points[owned].mean(axis=0), Grid(points[owned], reach)
+        self.points = points[owned[grid.order]] - self.origin
         self.normals = np.array([patch.plane.normal for patch in patches])
         self.centres = np.array([patch.plane.centre for patch in patches]) - self.origin
-        cells = np.unique(np.stack([self.grid.cell, self.owner]), axis=1)
-        shape = len(self.grid.size), len(patches)
-        self.own = csc_array((np.ones(cells.shape[1], np.int32), cells), shape=shape)
-        self.around = csc_array(self.grid.near @ self.own)
-        met = np.argwhere((self.own.T @ self.around).toarray())
-        met = met[met[:, 0] != met[:, 1]]
+        # a run of points of one patch in one cell: its first point, cell and patch
+        cell, owner = np.repeat(np.arange(len(grid.keys)), np.diff(grid.start)), owner[grid.order]
+        change = (cell[1:] != cell[:-1]) | (owner[1:] != owner[:-1])
+        self.start = np.flatnonzero(np.concatenate([[True], change, [True]]))
+        cell, owner = cell[self.start[:-1]], owner[self.start[:-1]]
+        which, other = _ranges(*np.searchsorted(cell, grid.near(cell, 1)).reshape(-1, 2).T)
+        run = which // 9
+        run, other = run[owner[run] != owner[other]], owner[other[owner[run] != owner[other]]]
+        meetings = np.unique((owner[run] * len(patches) + other) * len(cell) + run)
+        self.meeting, self.run = np.divmod(meetings, len(cell))
+        met = np.stack(np.divmod(np.unique(self.meeting), len(patches)), axis=1)
         self.near = np.split(met[:, 1], np.searchsorted(met[:, 0], np.arange(1, len(patches))))
         pairs, self.least = met[met[:, 0] < met[:, 1]], np.sin(np.radians(LEAST_DEG))
         first, second = self.normals[pairs].swapaxes(0, 1)
@@ -157,12 +160,9 @@ class _Lines:
 
     def _beside(self, line, own, other):
         """Points of a patch within reach of its line with another, sorted by station."""
-        cells = [
-            matrix.indices[matrix.indptr[k] : matrix.indptr[k + 1]]
-            for matrix, k in ((self.own, own), (self.around, other))
-        ]
-        rows, _ = self.grid.rows(np.intersect1d(*cells, assume_unique=True))
-        points = self.grid.points[rows[self.owner[rows] == own]]
+        meeting = own * len(self.patches) + other
+        runs = self.run[slice(*np.searchsorted(self.meeting, [meeting, meeting + 1]))]
+        points = self.points[_ranges(self.start[runs], self.start[runs + 1])[1]]
         way = self.direction[line]
         axes = np.stack([way, np.cross(self.normals[own], way), self.normals[own]])
         side = axes @ (points - self.foot[line]).T
@@ -206,6 +206,13 @@ class _Lines:
         place = self.origin + self.foot[line] + station[best] * self.direction[line]
         variance = self.patches[near[best]].offset_variance(place)
         return station[best], np.sqrt(variance) / abs(slope[best])
+
+
+def _ranges(first, last):
+    """The whole numbers of several ranges one after the other, after the range of each."""
+    number = last - first
+    which = np.repeat(np.arange(len(first)), number)
+    return which, (first - np.cumsum(number) + number)[which] + np.arange(len(which))
 
 
 def _misfits(side, low, high, reach):
