@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -162,13 +162,14 @@ def detect_planes(
     for _ in range(4):
         if not search.round():
             break
-    return search.parts(points, order[grid.order])
+    return search.parts(order[grid.order])
 
 
 def usual_size(points: np.ndarray) -> float:
     """Extent of the smallest plane that points (n, 3) support, m."""
     if not len(points):
         return USUAL_SIZES[1]
+    points = points - extent(points)[0]
     _, starts, fine = sort_into_cells(points, USUAL_SIZES[0] / CELLS_PER_SIZE)
     doubled = sort_into_cells(fine, 2)[2]
     in_cell = _points_per_cell(starts)
@@ -192,13 +193,13 @@ def _points_per_cell(start):
 class Grid:
     """Points sorted into the cubic cells that they occupy.
 
-    ``points`` are relative to their lowest corner and in the order of the cells; ``order`` has
-    their rows in the cloud. ``start`` bounds the cells and ``places`` has their indices.
+    ``points`` are relative to their lowest corner ``low`` and in the order of the cells; ``order``
+    has their rows in the cloud. ``start`` bounds the cells and ``places`` has their indices.
     """
 
     def __init__(self, points, edge):
-        self.edge, low = edge, extent(points)[0]
-        points = points - low
+        self.edge, self.low = edge, extent(points)[0]
+        points = points - self.low
         self.order, self.start, self.places = sort_into_cells(points, edge)
         self.points = points[self.order]
         # with five more places no cell follows one that it does not touch
@@ -206,12 +207,12 @@ class Grid:
         self.keys = np.ravel_multi_index((self.places + 2).T, self.shape)
 
     def near(self, cells: np.ndarray, reach: int) -> np.ndarray:
-        """Runs (first, last + 1) of the cells within ``reach`` of some cells, (n, columns, 2)."""
+        """Runs (first, last + 1) of cells within ``reach`` of ascending cells, (n, columns, 2)."""
         side = np.arange(-reach, reach + 1)
         column = (side[:, None] * self.shape[1] + side).ravel() * self.shape[2]
-        middle = self.keys[cells, None] + column
-        bounds = middle - reach, middle + reach + 1
-        return np.stack([np.searchsorted(self.keys, bound) for bound in bounds], axis=-1)
+        runs = np.empty((len(cells), len(column), 2), np.int32)
+        _find_runs(self.keys, cells, column, reach, runs)
+        return runs
 
 
 class _Search:
@@ -231,7 +232,7 @@ class _Search:
         # the fullest cell of every block of eight
         fullest = np.argsort(-counts, kind="stable")[: np.count_nonzero(counts)]
         blocks = np.ravel_multi_index((grid.places[fullest] // 2).T, grid.shape)
-        seeds = fullest[np.unique(blocks, return_index=True)[1]]
+        seeds = np.sort(fullest[np.unique(blocks, return_index=True)[1]])
         planes, scores = np.zeros((len(seeds), 2, 3)), np.zeros(len(seeds))
         given = self.cells, self.owner, counts, grid.near(seeds, 2), self.trials
         limits = self.tolerance, 0.5 * grid.edge**2
@@ -249,7 +250,7 @@ class _Search:
                 self.around.append(seen[:n].copy())
         return len(self.planes) > before
 
-    def parts(self, points, rows):
+    def parts(self, rows):
         """Fitted parts of a cloud with these rows in the cells; none without a clear plane.
 
         The owner of a point is the nearest plane around it within the tolerance. That is the only
@@ -275,21 +276,37 @@ class _Search:
             # points without any plane have a ratio of 0.58
             if spread[0] > 0.48 * self.tolerance or spread[1] < 1.2 * self.tolerance:
                 continue
-            parts.append(_part(points, rows[index], rows[fitted], self.tolerance))
+            plane, *spreads = _trimmed(self.grid.points[fitted], *planes[k], self.tolerance)
+            plane = replace(plane, centre=plane.centre + self.grid.low)
+            parts.append(PlanePart(plane, rows[index], rows[fitted], *spreads))
         return sorted(parts, key=len, reverse=True)
 
 
-def _part(points, index, clear, tolerance):
-    """The part of a plane's points, fitted to those that are clear of other planes."""
-    plane = fit_plane(points[clear])
+def _trimmed(points, centre, normal, tolerance):
+    """Plane of the points near it, their moments along its axes, and their standard deviation."""
+    off = residuals = (points - centre) @ normal
     # points of window reveals lie on one side of a wall, within the tolerance
     for _ in range(2):
-        most = TRIM * max(sigma_mad(plane.residuals), 0.02 * tolerance)
-        core = clear[np.abs(plane.distances(points[clear])) <= most]
-        plane = fit_plane(points[core])
-    moments = (plane.project(points[core]) ** 2).sum(axis=0)
-    sigma = TRIMMED * np.sqrt((plane.residuals**2).sum() / max(len(core) - 3, 1))
-    return PlanePart(plane, index, clear, moments, float(sigma))
+        core = points[np.abs(off) <= TRIM * max(sigma_mad(residuals), 0.02 * tolerance)]
+        plane = fit_plane(core)
+        off, residuals = plane.distances(points), plane.residuals
+    sigma = TRIMMED * np.sqrt((residuals**2).sum() / max(len(core) - 3, 1))
+    local = core - plane.centre
+    return plane, ((plane.axes @ (local.T @ local)) * plane.axes).sum(axis=1), float(sigma)
+
+
+@njit(cache=True)
+def _find_runs(keys, cells, column, reach, runs):
+    """Write the cells with keys within ``reach`` of each cell's key and what leads to a column."""
+    for j in range(len(column)):
+        first, last = 0, 0
+        for k in range(len(cells)):
+            middle = keys[cells[k]] + column[j]
+            while first < len(keys) and keys[first] < middle - reach:
+                first += 1
+            while last < len(keys) and keys[last] <= middle + reach:
+                last += 1
+            runs[k, j, 0], runs[k, j, 1] = first, last
 
 
 @njit(cache=True)

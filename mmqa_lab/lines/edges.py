@@ -125,7 +125,7 @@ class _Lines:
         owned = np.concatenate([patch.clear for patch in patches])
         owner = np.repeat(np.arange(len(patches)), [len(patch.clear) for patch in patches])
         self.origin, grid = points[owned].mean(axis=0), Grid(points[owned], reach)
-        self.points = points[owned[grid.order]] - self.origin
+        self.points = grid.points + (grid.low - self.origin)
         self.normals = np.array([patch.plane.normal for patch in patches])
         self.centres = np.array([patch.plane.centre for patch in patches]) - self.origin
         # a run of points of one patch in one cell: its first point, cell and patch
