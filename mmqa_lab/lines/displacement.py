@@ -11,16 +11,17 @@ vertical.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import partial
-from itertools import islice, pairwise
+from itertools import islice
 from operator import itemgetter
 
 import numpy as np
 import pandas as pd
+from numba import njit
 from numpy.typing import ArrayLike
 from scipy import stats
-from scipy.spatial.distance import cdist
 
 from mmqa_lab._checks import check_positive
 from mmqa_lab._results import Shown, about
@@ -274,23 +275,24 @@ class _Search:
         shares = np.maximum(0, 1 - np.abs(along - self.stations[:, None]) / gap)
         shares = np.round(32 * shares).astype(np.float32) / 32
         reach = radius + CHANGE * np.abs(self.stations) * (moved is None)
-        wide, high = (int(np.ceil(most / step)) for most in (reach.max(), radius))
-        self.shape = 2 * wide + 1, 2 * wide + 1, 2 * high + 1
-        self.moves = step * (np.indices(self.shape).reshape(3, -1).T - [wide, wide, high])
-        votes = _votes(lines, moved, self.moves, step, shares)
-        votes[np.linalg.norm(self.moves, axis=1) > reach[:, None]] = -np.inf
-        self.votes, self.steps = votes, step * np.arange(1, 3) / gap
+        wide, high = (int(most / step) + 2 for most in (reach.max(), radius))
+        shape = 2 * wide + 1, 2 * wide + 1, 2 * high + 1
+        self.strides = 1, shape[2], shape[1] * shape[2]
+        self.moves = step * (np.indices(shape).reshape(3, -1).T - [wide, wide, high])
+        far = np.where(np.abs(self.moves[:, 2]) > radius, np.inf, (self.moves**2).sum(axis=1))
+        self.votes = np.where(far > reach[:, None] ** 2, np.float32(-np.inf), np.float32(0))
+        _vote(self.votes, lines, moved, self.moves / step, step, shares)
+        changes = step * np.arange(1, 3) / gap
+        self.costs = ((changes / USUAL_CHANGE) ** 2 / 2 / VOTE).astype(np.float32)
 
     def paths(self):
         """Yield vectors (stations, 3) of the best path, of the best one elsewhere, and so on."""
-        costs, votes = (self.steps / USUAL_CHANGE) ** 2 / 2 / VOTE, self.votes.copy()
-        while np.isfinite(votes).any(axis=1).all():
-            there, back = self._best(votes, costs), self._best(votes[::-1], costs)[::-1]
-            total = there + back - np.maximum(votes, 0)
-            vectors = self.moves[total.argmax(axis=1)]
-            yield vectors
-            for vector, vote in zip(vectors, votes, strict=True):
-                vote[((self.moves - vector) ** 2).sum(axis=1) < ELSEWHERE_M**2] = -np.inf
+        while True:
+            path, total = _best_path(self.votes, self.strides, *self.costs)
+            if total == -np.inf:
+                return
+            yield self.moves[path]
+            _forbid_around(self.votes, self.moves, path)
 
     def straight(self, path):
         """A path whose displacement changes evenly."""
@@ -308,39 +310,66 @@ class _Search:
         moved = [np.interp(along, self.stations, axis) for axis in path.T]
         return np.stack(moved, axis=1) + turn * levers(beside)
 
-    def _best(self, votes, costs):
-        """Votes of the best path to each displacement at each station, (stations, moves)."""
-        paths = votes.copy()
-        for before, here in pairwise(paths):
-            here += _changed(before.reshape(self.shape), costs).ravel()
-        return paths
+
+@njit(cache=True, nogil=True, fastmath={"nnan", "nsz"})
+def _best_path(votes, strides, one, two):
+    """Place of the best path at each station and its total, for votes (stations, places on a grid).
+
+    From station to station a path may move by one or two places along each axis of the grid, which
+    costs votes. The two outer places on each side of the grid have votes of minus infinity.
+    """
+    best, (stations, n) = votes.copy(), votes.shape
+    values, old = np.empty(n, votes.dtype), np.empty(n, votes.dtype)
+    for station in range(1, stations):
+        values[:] = best[station - 1]
+        for a in strides:
+            old[:] = values
+            # slices, since the compiler does not vectorise sums in an index
+            here, out = old[2 * a : n - 2 * a], values[2 * a : n - 2 * a]
+            before, after, far_before, far_after = old[a:], old[3 * a :], old, old[4 * a :]
+            for i in range(len(out)):
+                near, far = max(before[i], after[i]), max(far_before[i], far_after[i])
+                out[i] = max(here[i], max(near - one, far - two))
+        for i in range(n):
+            best[station, i] += values[i]
+    path = np.zeros(stations, np.int64)
+    path[-1] = best[-1].argmax()
+    costs = [two, one, np.float32(0.0), one, two]
+    for station in range(stations - 2, -1, -1):
+        highest = -np.inf
+        for i in range(-2, 3):
+            for j in range(-2, 3):
+                for k in range(-2, 3):
+                    at = path[station + 1] + i * strides[0] + j * strides[1] + k * strides[2]
+                    value = best[station, at] - costs[i + 2] - costs[j + 2] - costs[k + 2]
+                    if value > highest:
+                        highest, path[station] = value, at
+    return path, best[-1, path[-1]]
 
 
-def _changed(values, costs):
-    """Best value of the neighbours of each displacement, less the cost of the change."""
-    for axis in range(3):
-        old = np.moveaxis(values, axis, 0)
-        new = old.copy()
-        for k, cost in enumerate(costs.astype(np.float32), 1):
-            np.maximum(new[k:], old[:-k] - cost, out=new[k:])
-            np.maximum(new[:-k], old[k:] - cost, out=new[:-k])
-        values = np.moveaxis(new, 0, axis)
-    return values
+@njit(cache=True, nogil=True)
+def _forbid_around(votes, moves, path):
+    """Set the votes of moves near a path to minus infinity."""
+    for station in range(len(path)):
+        x, y, z = moves[path[station]]
+        for k in range(len(moves)):
+            dx, dy, dz = moves[k, 0] - x, moves[k, 1] - y, moves[k, 2] - z
+            if dx * dx + dy * dy + dz * dz < ELSEWHERE_M**2:
+                votes[station, k] = -np.inf
 
 
-def _votes(lines, moved, moves, step, shares):
-    """Votes (stations, moves) of the test lines, which have shares (stations, lines) in stations.
+def _vote(votes, lines, moved, moves, step, shares):
+    """Add the votes of the test lines, which have shares (stations, lines) in stations.
 
     A line does not feel a displacement along itself. So it votes in a plane, and lines of about one
-    direction share this plane.
+    direction share this plane. Moves are in steps.
     """
-    votes = np.zeros((len(shares), len(moves)), dtype=np.float32)
     offset = lines.offset
     if moved is not None:
         offset = offset - np.einsum("nkd,nd->nk", lines.frame, moved)
     beside = int(AGREE) + 1
     stamp = np.indices((2 * beside + 1,) * 2).reshape(2, -1).T - beside
-    half = int(np.linalg.norm(moves, axis=1).max() / step) + 1
+    half = int(np.linalg.norm(moves, axis=1).max()) + 1
     side = 2 * half + 1
     left = np.arange(len(lines.rows)) if moved is None else np.flatnonzero(lines.overlap >= 0.18)
     longest = np.argsort(-lines.half[1], kind="stable")
@@ -357,9 +386,17 @@ def _votes(lines, moved, moves, step, shares):
         place = (row[:, None] * side + cells[..., 0] + half) * side + cells[..., 1] + half
         each = np.zeros((len(rows), side * side), dtype=np.float32)
         np.maximum.at(each.ravel(), place[inside], np.round(32 * value[inside]) / 32)
-        at = np.round(moves @ frame.T / step).astype(int) + half
-        votes += (shares[:, rows] @ each)[:, at[:, 0] * side + at[:, 1]]
-    return votes
+        at = np.round(moves @ frame.T).astype(int) + half
+        _add_votes(votes, shares[:, rows] @ each, at[:, 0] * side + at[:, 1])
+
+
+@njit(cache=True, nogil=True)
+def _add_votes(votes, plane, places):
+    """Add to the votes of each move those of its place in a plane (stations, places)."""
+    for station in range(len(votes)):
+        for move in range(len(places)):
+            if votes[station, move] >= 0:
+                votes[station, move] += plane[station, places[move]]
 
 
 def _retraced(lines, search, path, turn):
@@ -387,15 +424,17 @@ def _refined(lines, start):
         variance = noise**2 + LEFT_M**2
         squares = (off**2).sum(axis=1) / variance
         # true pairs share 0.18 of the shorter line at least, and 99.7 % of them are as near
-        allowed = (lines.overlap >= 0.18) & (squares < stats.chi2.ppf(0.997, 2))
+        allowed = (lines.overlap >= 0.18) & (squares < -2 * np.log(0.003))
         pairs = apart(lines, np.where(allowed, squares, np.inf))
         members = np.flatnonzero(pairs[lines.rows, lines.columns])
         if len(members) < 3:
             break
         # log likelihood ratio of true pairs to unrelated lines
         ratio = -squares[members] / 2 - np.log(2 * np.pi * variance * CLUTTER_PER_M2)
-        outcome = ratio.sum(), pairs
-        noise = np.clip(np.median(np.abs(off[members])) * 1.48, 0.03, noise)
+        same, outcome = (pairs == outcome[1]).all(), (ratio.sum(), pairs)
+        before, noise = noise, np.clip(np.median(np.abs(off[members])) * 1.48, 0.03, noise)
+        if same and noise > 0.99 * before:
+            break
         moved = _field(lines, start(lines.place), members, noise)
     return outcome
 
@@ -413,10 +452,28 @@ def _field(lines, path, members, noise):
     prior = noise**2 * np.diag([1e-6, 1e-6, 1e-6, 1 / TURN_RAD**2])
     normal = np.einsum("nkd,nke->de", design, design) + prior
     mean = np.linalg.solve(normal, np.einsum("nkd,nk->d", design, off))
-    felt = np.exp(-cdist(lines.place, place) / 20)
-    felt[members, np.arange(len(members))] = 0
-    pulls = felt @ np.einsum("nkd,nk->nd", frame, off - design @ mean)
-    holds = np.tensordot(felt, frame.swapaxes(1, 2) @ frame, 1)
-    holds += (noise / 0.25) ** 2 * np.eye(3)
+    off = off - design @ mean
+    pulls = np.einsum("nkd,nk->nd", frame, off)
+    parts = np.concatenate([frame.swapaxes(1, 2) @ frame, pulls[..., None]], axis=2)
+    felt = _felt(lines.place, members, parts.reshape(-1, 12).T.copy()).reshape(-1, 3, 4)
+    holds, pulls = felt[..., :3] + (noise / 0.25) ** 2 * np.eye(3), felt[..., 3:]
     steady = path + mean[:3] + mean[3] * levers(lines.place - centre)
-    return steady + np.linalg.solve(holds, pulls[..., None])[..., 0]
+    return steady + np.linalg.solve(holds, pulls)[..., 0]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _felt(places, members, parts):
+    """Sum (n, 12) of the parts (12, members) of all but the place itself, less with distance."""
+    felt, shares = np.zeros((len(places), 12)), np.empty(len(members))
+    for n in range(len(places)):
+        x, y, z = places[n]
+        for m in range(len(members)):
+            at = places[members[m]]
+            gap = math.sqrt((x - at[0]) ** 2 + (y - at[1]) ** 2 + (z - at[2]) ** 2)
+            shares[m] = math.exp(-gap / 20) if members[m] != n else 0.0
+        for k in range(12):
+            total = 0.0
+            for m in range(len(members)):
+                total += shares[m] * parts[k, m]
+            felt[n, k] = total
+    return felt

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike
 from scipy.optimize import linear_sum_assignment
 
@@ -185,23 +186,39 @@ def correspond(
 
 def apart(lines: Pairs, costs: np.ndarray) -> np.ndarray:
     """Accept pairs in the order of finite costs if their stretches do not overlap; bool (p, q)."""
-    pairs, taken = np.zeros(lines.shape, dtype=bool), defaultdict(list)
-    for k in np.argsort(costs, kind="stable")[: np.isfinite(costs).sum()]:
-        row, column = lines.rows[k], lines.columns[k]
-        stretches = [part[k] for part in lines.stretches]
-        others = taken["test", row], taken["model", column]
-        if all(map(_free, stretches, others)):
-            pairs[row, column] = True
-            for stretch, other in zip(stretches, others, strict=True):
-                other.append(stretch)
+    order = np.argsort(costs, kind="stable")[: np.isfinite(costs).sum()]
+    pairs = np.zeros(lines.shape, dtype=bool)
+    _accept(order, lines.rows, lines.columns, *lines.stretches, pairs)
     return pairs
 
 
-def _free(stretch, taken):
-    """Whether a stretch overlaps each stretch already taken by at most 30 % of its length."""
-    length = stretch[1] - stretch[0]
-    shared = [min(stretch[1], other[1]) - max(stretch[0], other[0]) for other in taken]
-    return not taken or (length > 0 and max(shared) <= 0.3 * length)
+@njit(cache=True, nogil=True)
+def _accept(order, rows, columns, on_test, on_model, pairs):
+    """Accept pairs in order if each stretch overlaps each one already taken by at most 30 %."""
+    before = np.empty((2, len(order)), np.int64)  # the pair taken before on the same line
+    last_t, last_m = np.full(pairs.shape[0], -1), np.full(pairs.shape[1], -1)
+    for k in range(len(order)):
+        pair = order[k]
+        row, column = rows[pair], columns[pair]
+        free = _is_free(on_test, pair, last_t[row], order, before[0])
+        if free and _is_free(on_model, pair, last_m[column], order, before[1]):
+            pairs[row, column] = True
+            before[0, k], before[1, k] = last_t[row], last_m[column]
+            last_t[row] = last_m[column] = k
+
+
+@njit(cache=True, nogil=True)
+def _is_free(stretches, pair, last, order, before):
+    """Whether a stretch overlaps each stretch taken on its line by at most 30 % of its length."""
+    low, high = stretches[pair]
+    if last >= 0 and high <= low:
+        return False
+    while last >= 0:
+        other = stretches[order[last]]
+        if min(high, other[1]) - max(low, other[0]) > 0.3 * (high - low):
+            return False
+        last = before[last]
+    return True
 
 
 @dataclass(frozen=True)
@@ -298,29 +315,38 @@ class Pairs:
     def __init__(self, test, model, rows, columns, moved=0.0):
         self.rows, self.columns, self.shape = rows, columns, (len(test), len(model))
         self.test, self.model = test, model
-        self.axis, way = directions(self.model)[columns], directions(self.test)[rows]
-        against = (way * self.axis).sum(axis=1) < 0
-        way[against] *= -1
-        half_t, half_m = self.half = lengths(test)[rows] / 2, lengths(model)[columns] / 2
-        between = midpoints(self.test)[rows] - midpoints(self.model)[columns]
-        self.s = ((between - moved) * self.axis).sum(axis=1)
+        self.axis, self.way = directions(model)[columns], directions(test)[rows]
+        self.against = (self.way * self.axis).sum(axis=1) < 0
+        self.way[self.against] *= -1
+        self.half = lengths(test)[rows] / 2, lengths(model)[columns] / 2
+        self.between = midpoints(test)[rows] - midpoints(model)[columns]
+        self.frame = across(self.axis)
+        middles = midpoints(model)
+        self.middle = (middles - middles.sum(axis=0) / max(len(model), 1))[columns]
+        self._find_common(moved)
+
+    def _find_common(self, moved):
+        """Fill in what depends on the common stretch."""
+        half_t, half_m = self.half
+        self.s = ((self.between - moved) * self.axis).sum(axis=1)
         low = np.maximum(self.s - half_t, -half_m)
         high = np.minimum(self.s + half_t, half_m)
         on_model = np.stack([low, high], axis=1)
         on_test = on_model - self.s[:, None]
-        on_test[against] = -on_test[against, ::-1]
+        on_test[self.against] = -on_test[self.against, ::-1]
         self.stretches = on_test, on_model
-        middle = (low + high) / 2
-        self.frame, on_axis = across(self.axis), middle[:, None] * self.axis
-        centre = midpoints(self.model).sum(axis=0) / max(len(model), 1)
-        self.place = midpoints(self.model)[columns] + on_axis - centre
-        apart = between + (middle - self.s)[:, None] * way - on_axis
+        at = (low + high) / 2
+        on_axis = at[:, None] * self.axis
+        self.place = self.middle + on_axis
+        apart = self.between + (at - self.s)[:, None] * self.way - on_axis
         self.offset = np.einsum("nkd,nd->nk", self.frame, apart)
-        self.overlap = (high - low) / (2 * np.minimum(*self.half))
+        self.overlap = (high - low) / (2 * np.minimum(half_t, half_m))
 
     def again(self, moved: Any) -> Pairs:
         """The same pairs, with their common stretches after another displacement."""
-        return Pairs(self.test, self.model, self.rows, self.columns, moved)
+        again = copy(self)
+        again._find_common(moved)
+        return again
 
     def design(self, centre: np.ndarray) -> np.ndarray:
         """Design matrix (n, 2, 4) of offsets for a vector and a rotation about a vertical axis."""
