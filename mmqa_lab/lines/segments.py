@@ -17,12 +17,15 @@ before they are multiplied.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice, check_number, check_points
+from mmqa_lab._compiled import in_threads
 
 __all__ = [
     "Components",
@@ -34,8 +37,9 @@ __all__ = [
     "midpoints",
 ]
 
+
 BLOCK_PAIRS = 500_000
-"""Number of pairs computed at a time."""
+"""Number of pairs that a thread computes at a time."""
 
 
 def check_segments(segments: ArrayLike, name: str = "segments") -> np.ndarray:
@@ -158,27 +162,33 @@ def components(
     check_choice(rotate, "rotate", ("test", "shorter"))
     check_choice(within, "within", ("containment", "overlap"))
     test, model = (
-        (midpoints(ends), directions(ends), lengths(ends))
+        np.vstack([midpoints(ends).T, directions(ends).T, lengths(ends)])
         for ends in from_common_origin(test, model)
     )
-    rows = max(1, BLOCK_PAIRS // max(1, len(model[0])))
-    blocks = [
-        _parts([part[k : k + rows, None] for part in test], model, rotate, within)
-        for k in range(0, max(1, len(test[0])), rows)
-    ]
-    return Components(*np.concatenate(blocks, axis=1))
+    parts = np.empty((4, test.shape[1], model.shape[1]))
+    in_threads(
+        _measure, test.shape[1], test, model, rotate == "shorter", within == "overlap", parts
+    )
+    return Components(*parts)
 
 
-def _parts(test, model, rotate, within):
-    """d_theta, d_par, d_perp and s of a block of test segments (midpoint, direction, length)."""
-    (middle_t, way_t, length_t), (middle_m, way_m, length_m) = test, model
-    # x, y and z first: arrays of whole coordinates are several times as fast
-    t, m, apart = (np.moveaxis(part, -1, 0) for part in (way_t, way_m[None], middle_t - middle_m))
-    cross = [t[i] * m[j] - t[j] * m[i] for i, j in ((1, 2), (2, 0), (0, 1))]
-    angle = np.minimum(length_t, length_m) * np.sqrt(sum(part**2 for part in cross))
-    axis = np.where(length_m < length_t, t, m) if rotate == "shorter" else m
-    s = sum(apart * axis)
-    parallel = np.maximum(0, np.abs(s) - np.abs(length_t - length_m) / 2)
-    if within == "overlap":
-        parallel[np.abs(s) < (length_t + length_m) / 2] = 0
-    return np.stack([angle, parallel, np.sqrt(sum((apart - s * axis) ** 2)), s])
+@njit(cache=True, nogil=True)
+def _measure(first, last, test, model, shorter, overlap, parts):
+    """Write d_theta, d_par, d_perp and s of pairs. Without branches the loop is vectorised."""
+    for i in range(first, last):
+        x, y, z = test[0, i], test[1, i], test[2, i]
+        tx, ty, tz, length = test[3, i], test[4, i], test[5, i], test[6, i]
+        for j in range(model.shape[1]):
+            mx, my, mz, least = model[3, j], model[4, j], model[5, j], min(length, model[6, j])
+            cx, cy, cz = ty * mz - tz * my, tz * mx - tx * mz, tx * my - ty * mx
+            turned = shorter & (model[6, j] < length)
+            ex, ey, ez = tx if turned else mx, ty if turned else my, tz if turned else mz
+            dx, dy, dz = x - model[0, j], y - model[1, j], z - model[2, j]
+            s = dx * ex + dy * ey + dz * ez
+            px, py, pz = dx - s * ex, dy - s * ey, dz - s * ez
+            parallel = max(0.0, abs(s) - abs(length - model[6, j]) / 2)
+            none = overlap & (abs(s) < (length + model[6, j]) / 2)
+            parts[0, i, j] = least * math.sqrt(cx * cx + cy * cy + cz * cz)
+            parts[1, i, j] = 0.0 if none else parallel
+            parts[2, i, j] = math.sqrt(px * px + py * py + pz * pz)
+            parts[3, i, j] = s
