@@ -10,6 +10,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads would wait for eac
 
 import ast
 import contextlib
+import functools
 import ipaddress
 import socket
 from pathlib import Path
@@ -152,3 +153,37 @@ def _statements(stem):
     for cell in nbformat.read(path, as_version=4).cells:
         if cell.cell_type == "code":
             yield from ast.parse(TransformerManager().transform_cell(cell.source)).body
+
+
+def targets(node, *kinds):
+    """The names that parts of these kinds bind for their own statement alone."""
+    bound = [part for part in ast.walk(node) if isinstance(part, kinds)]
+    bound = [getattr(part, "target", None) or part.optional_vars for part in bound]
+    bound = [one for one in bound if one]
+    return {n.id for one in bound for n in ast.walk(one) if isinstance(n, ast.Name)}
+
+
+@functools.cache
+def stored(node):
+    """The names that a statement sets or fills."""
+    if isinstance(node, ast.FunctionDef):
+        return {node.name}
+    parts = list(ast.walk(node))
+    places = [part for part in parts if isinstance(getattr(part, "ctx", None), ast.Store)]
+    calls = [part.func for part in parts if isinstance(part, ast.Call)]
+    filled = {"append", "extend", "update"}
+    places += [c.value for c in calls if isinstance(c, ast.Attribute) and c.attr in filled]
+    names = {getattr(getattr(place, "value", place), "id", "") for place in places}
+    return names - targets(node, ast.comprehension)
+
+
+@functools.cache
+def loaded(node):
+    """The names that a statement reads from above."""
+    parts = list(ast.walk(node))
+    own = {part.arg for part in parts if isinstance(part, ast.arg)}
+    own |= targets(node, ast.comprehension, ast.For, ast.withitem)
+    if isinstance(node, ast.FunctionDef):
+        own |= {n.id for n in parts if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
+    read = {n.id for n in parts if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Load)}
+    return read - own

@@ -1,11 +1,11 @@
 """The form of the notebooks: short cells and paragraphs, bookkeeping apart, figures with words."""
 
 import ast
-import functools
 import re
 
 import nbformat
 import pytest
+from conftest import loaded, stored
 from IPython.core.inputtransformer2 import TransformerManager
 
 from mmqa_lab.studies import STUDIES, TOOLS
@@ -108,38 +108,6 @@ NO_VERDICT = {
 }
 """How checks begin that speak of print, or are worked out with it, and have no verdict on a cell:
 what they compare instead."""
-
-
-def targets(node, *kinds):
-    """The names that parts of these kinds bind for their own statement alone."""
-    bound = [part.target for part in ast.walk(node) if isinstance(part, kinds)]
-    return {n.id for one in bound for n in ast.walk(one) if isinstance(n, ast.Name)}
-
-
-@functools.cache
-def stored(node):
-    """The names that a statement sets or fills."""
-    if isinstance(node, ast.FunctionDef):
-        return {node.name}
-    parts = list(ast.walk(node))
-    places = [part for part in parts if isinstance(getattr(part, "ctx", None), ast.Store)]
-    calls = [part.func for part in parts if isinstance(part, ast.Call)]
-    filled = {"append", "extend", "update"}
-    places += [c.value for c in calls if isinstance(c, ast.Attribute) and c.attr in filled]
-    names = {getattr(getattr(place, "value", place), "id", "") for place in places}
-    return names - targets(node, ast.comprehension)
-
-
-@functools.cache
-def loaded(node):
-    """The names that a statement reads from above."""
-    parts = list(ast.walk(node))
-    own = {part.arg for part in parts if isinstance(part, ast.arg)}
-    own |= targets(node, ast.comprehension, ast.For)
-    if isinstance(node, ast.FunctionDef):
-        own |= {n.id for n in parts if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
-    read = {n.id for n in parts if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Load)}
-    return read - own
 
 
 def leading_to(nodes, place, names):

@@ -8,6 +8,7 @@ import nbformat
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import loaded, stored
 from IPython.core.inputtransformer2 import TransformerManager
 
 from mmqa_lab.__main__ import main
@@ -239,15 +240,35 @@ def test_a_notebook_that_fails_is_named_with_its_cause(tmp_path, monkeypatch, ca
 
 
 @pytest.mark.parametrize("study", STUDIES, ids=lambda study: study.stem)
-def test_copies_need_no_name_of_a_cell_that_is_left_out(study):
-    known, left_out = set(), set()
-    for cell in nbformat.read(study.path, as_version=4).cells:
-        if cell.cell_type == "code":
-            code = TransformerManager().transform_cell(cell.source)
-            names = [node for node in ast.walk(ast.parse(code)) if isinstance(node, ast.Name)]
-            done = {node.id for node in names if isinstance(node.ctx, ast.Store)}
-            if "results" in cell.metadata.get("tags", []):
-                left_out |= done
-                continue
-            assert not ({node.id for node in names} - done - known) & left_out
-            known |= done
+def test_copies_need_no_name_of_a_cell_that_is_left_out_or_waits(study):
+    """Given cells run from top to bottom, whatever a student has done so far."""
+    assert missing_names(nbformat.read(study.path, as_version=4)) == set()
+
+
+def missing_names(notebook):
+    """The names that given cells of a copy read, and that only cells set which it has not."""
+    known, left_out, missing = set(), set(), set()
+    for cell in (cell for cell in notebook.cells if cell.cell_type == "code"):
+        theirs = {"results", "solution", "number"} & set(cell.metadata.get("tags", []))
+        given = not theirs and students._waiting(cell) == cell.source
+        for node in ast.parse(TransformerManager().transform_cell(cell.source)).body:
+            if given:
+                own = stored(node) if isinstance(node, ast.For | ast.With) else set()
+                missing |= (loaded(node) - known - own) & left_out
+                known |= stored(node)
+            else:
+                left_out |= stored(node)
+    return missing
+
+
+def test_a_cell_that_reads_what_a_student_has_not_done_is_found(monkeypatch):
+    made = {"number": "number = 1", "solution": "# 1: sum\ntotal_m = 3", "results": "kept = 2"}
+    made |= {"given": "drawn = [number, 1]", "waits": "drawn[0]", "answer": "total_m * kept"}
+    made |= {"set anew": "total_m = 4", "then": "total_m + 1"}
+    cells = [
+        nbformat.v4.new_code_cell(text, metadata={"tags": [tag]}) for tag, text in made.items()
+    ]
+    notebook = nbformat.v4.new_notebook(cells=cells)
+    assert missing_names(notebook) == {"drawn", "total_m", "kept"}
+    monkeypatch.setattr(students, "_waiting", lambda cell: cell.source)
+    assert missing_names(notebook) == {"number", "total_m", "kept"}
