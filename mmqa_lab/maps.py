@@ -32,7 +32,7 @@ from mmqa_lab._checks import (
     check_upright,
 )
 from mmqa_lab.chart_cloud import COARSE_MM, PAIRS, is_below_step
-from mmqa_lab.cloud import ON_BORDER, cells_of, sort_into_cells, unit_remarks
+from mmqa_lab.cloud import ON_BORDER, cells_of, extent, sort_into_cells, unit_remarks
 from mmqa_lab.io import LAS_ENDINGS, iterate_cloud, own_folder, write_atomically
 from mmqa_lab.planes import CONSISTENT_SCALE
 from mmqa_lab.spacing import STEPS, quadrant_distances
@@ -72,7 +72,7 @@ CELL_PLACES = np.outer(np.arange(1, 31), STEPS) % 1
 MOST_MAP_CELLS = 1e8
 
 # Points are sorted into tiles of this side, m, which are joined until one has so many points.
-TILE_M, ENOUGH = 8.0, 100_000
+TILE_M, ENOUGH = 4.0, 100_000
 
 # A bar on a terminal only, of a size of its own: some terminals say that theirs is zero.
 BAR = {"disable": None, "leave": False, "ncols": 80, "nrows": 24}
@@ -134,7 +134,7 @@ def map_cloud(points: ArrayLike, *, cell: float = 0.5, radius: float = 0.5) -> x
 
 def _check_extent(points, cell):
     """Refuse clouds that are too wide, such as clouds in millimetres."""
-    size = np.ptp(points, axis=0)[:2]
+    size = np.ptp(extent(points), axis=0)[:2]
     if np.prod(size / cell + 1) > MOST_MAP_CELLS:
         wide = " x ".join(f"{length / 1000:.4g} km" for length in size)
         most = f"{MOST_MAP_CELLS / 1e6:.0f} million cells of {cell} m"
@@ -154,9 +154,9 @@ def _evaluated(points, index, inner, cell, radius):
     distances = quadrant_distances(local, radius=radius, of=inner)
     distances, own = (np.take(one, rows, axis=0).T.copy() for one in (distances, points))
     deviations = _deviations(own, starts, counts, group)
-    off = np.abs(deviations - _medians(deviations, group)[group])
-    sigma = np.where(counts >= MINIMUM, CONSISTENT_SCALE * _medians(off, group), np.nan)
-    d = [_medians(distance, group) for distance in distances]
+    *d, middle = _medians([*distances, deviations], group)
+    (off,) = _medians([np.abs(deviations - middle[group])], group)
+    sigma = np.where(counts >= MINIMUM, CONSISTENT_SCALE * off, np.nan)
     missing = np.add.reduceat(np.isnan(distances[3]).astype(float), starts)
     same = np.add.reduceat(_coincident(own), starts)
     e95 = _empty_space(local, (cells - cells[0])[:, None] + CELL_PLACES, cell, radius)
@@ -165,16 +165,16 @@ def _evaluated(points, index, inner, cell, radius):
     return np.column_stack([cells, *figures, sigma_mm, same])
 
 
-def _medians(values, group):
-    """Median of each group without its NaN; NaN for a group without numbers."""
-    return pd.Series(values).groupby(group).median().to_numpy()
+def _medians(rows, group):
+    """Median of each group in each row without its NaN; NaN for a group without numbers."""
+    return pd.DataFrame(np.transpose(rows)).groupby(group).median().to_numpy().T
 
 
 def _empty_space(xy, places, cell, radius):
     """e95 of cells with places, shape (cells, places, 2), m; NaN beyond the radius."""
     from scipy.spatial import cKDTree
 
-    tree = cKDTree(xy, balanced_tree=False, compact_nodes=False)
+    tree = cKDTree(xy, leafsize=64, balanced_tree=False, compact_nodes=False)
     away = tree.query(cell * places, [1], distance_upper_bound=radius)[0]
     e95 = np.partition(away[:, :, 0], -2, axis=1)[:, -2]
     return np.where(np.isfinite(e95), e95, np.nan)
@@ -390,17 +390,17 @@ def _sort_file(own, file, cell, tile, again):
         for number, part in enumerate(iterate_cloud(file[0], columns=())):
             if not len(part):
                 continue
-            ends += [part.points.min(axis=0), part.points.max(axis=0)]
-            _check_extent(ends, cell)
+            ends += [*extent(part.points)]
+            _check_extent(np.array(ends), cell)
             order, starts, tiles = sort_into_cells(cells_of(part.points[:, :2], cell), tile)
             name = f"{key}_{number}{WORKING}"
-            write_atomically(own / name, part.points[order].tofile)
+            write_atomically(own / name, part.points.take(order, axis=0).tofile)
             rows = np.column_stack([tiles, starts[:-1], starts[1:]]).tolist()
             found["slices"] += [(name, *row) for row in rows]
             found["crs"] = None if part.crs is None else part.crs.to_wkt()
             found["step"] = float(np.fmax(part.resolution, 0))
             found["n"] += len(part)
-            total += (part.points - ends[0]).sum(axis=0)
+            total += [axis.sum() for axis in (part.points - ends[0]).T]
     if found["n"]:
         mean = ends[0] + total / found["n"]
         found["about"] = np.stack([np.min(ends, axis=0), np.max(ends, axis=0), mean]).tolist()
@@ -432,7 +432,7 @@ def _joined(files, run, said):
     if crs is not None and without:
         listed = ", ".join(without)
         remarks.append(f"No coordinate system in {listed}: taken for {crs.name}.")
-    _check_extent([end for file in counted for end in file["about"][:2]], run["cell"])
+    _check_extent(np.concatenate([file["about"][:2] for file in counted]), run["cell"])
     slices = pd.DataFrame(
         [row for file in counted for row in file["slices"]],
         columns=["name", "column", "row", "start", "stop"],
@@ -463,33 +463,35 @@ def _reach(run):
 
 
 def _near(slices, place, run):
-    """The slices with points in a tile and around it."""
+    """The slices with points in a tile and around it; those of a column lie in a row."""
     inside = np.ones(len(slices), dtype=bool)
     for name, low in zip(("column", "row"), np.multiply(place, run["side"]), strict=True):
         inside &= (slices[name] >= (low - _reach(run)) // run["tile"]).to_numpy()
         inside &= (slices[name] < (low + run["side"] + _reach(run)) / run["tile"]).to_numpy()
-    return slices.loc[inside, ["name", "start", "stop"]].to_numpy().tolist()
+    columns = slices[inside].groupby(["name", "column"], as_index=False)
+    ends = columns.agg({"start": "min", "stop": "max"})
+    return ends[["name", "start", "stop"]].to_numpy().tolist()
 
 
 def _map_tile(own, place, near, run):
     """Evaluate a tile with the points around it, and write its file."""
-    first, cell, reach = np.multiply(place, run["side"]), run["cell"], _reach(run)
+    first, side, cell = np.multiply(place, run["side"]), run["side"], run["cell"]
     points = np.concatenate([
-        np.fromfile(own / name, count=3 * (stop - start), offset=24 * start)
+        np.fromfile(own / name, count=3 * (stop - start), offset=24 * start).reshape(-1, 3)
         for name, start, stop in near
-    ]).reshape(-1, 3)  # fmt: skip
+    ])  # fmt: skip
+    margin = 1.001 * run["radius"] + 0.001 * cell  # all that rounding may need
+    points = points[_within(points, first * cell - margin, (first + side) * cell + margin)]
     index = cells_of(points[:, :2], cell)
-    around = _within(index, first - reach, first + run["side"] + reach)
-    points, index = points[around], index[around]
-    inner = _within(index, first, first + run["side"])
+    inner = _within(index, first, first + side)
     table = _evaluated(points, index, inner, cell, run["radius"])
     write_atomically(_tile(own, place, run), lambda path: np.save(path, table))
 
 
-def _within(index, low, high):
+def _within(places, low, high):
     """Whether places lie in a rectangle."""
-    columns, rows = index.T
-    return (columns >= low[0]) & (columns < high[0]) & (rows >= low[1]) & (rows < high[1])
+    x, y = places.T[:2]
+    return (x >= low[0]) & (x < high[0]) & (y >= low[1]) & (y < high[1])
 
 
 def open_map(folder: str | os.PathLike) -> xr.Dataset:

@@ -29,14 +29,15 @@ def nearest_per_quadrant(xy, radius, of):
 
     Points (n, 2) and radius are in the same unit. Points outside the mask ``of`` (n,) get NaN.
     """
-    rows, points = np.arange(len(xy)), np.array(xy.T, order="C")
-    size = LEAF << (-(-len(xy) // LEAF) - 1).bit_length()
+    count = -(-len(xy) // LEAF)
+    # copies of the last point fill the leaves: a copy lies in no quadrant of its own place
+    rows = np.minimum(np.arange(count * LEAF), len(xy) - 1)
+    points = np.empty((2, len(rows)))
+    points[:, : len(xy)], points[:, len(xy) :] = xy.T, xy[-1:].T
+    size = LEAF << (count - 1).bit_length()
     while size > LEAF:
-        in_threads(_halve, -(-len(xy) // size), points, rows, size, least=1 + 10_000 // size)
+        in_threads(_halve, -(-len(rows) // size), points, rows, size, least=1 + 10_000 // size)
         size //= 2
-    # copies of the last point fill the last leaf: a copy lies in no quadrant of its own place
-    filler = -len(xy) % LEAF
-    rows, points = np.pad(rows, (0, filler), "edge"), np.pad(points, ((0, 0), (0, filler)), "edge")
     leaves = np.ascontiguousarray(points.reshape(2, -1, LEAF).transpose(1, 0, 2))
     found = np.full((len(xy), 4), np.nan)
     boxes = np.tile([np.inf, np.inf, -np.inf, -np.inf], (2 << (len(leaves) - 1).bit_length(), 1))
