@@ -157,7 +157,7 @@ FAULTS = (
     ("maps", "if same is not None:", "if False:", "test_maps.py"),
     ("maps", 'OWN, WORKING = "mmqa_map", ".mmqa_points"', 'OWN, WORKING = "", ".xyz"',
      "test_outputs.py"),
-    ("maps", "first - reach, first", "first, first", "test_maps.py"),
+    ("maps", "first * cell - margin, (", "first * cell, (", "test_maps.py"),
     ("maps", "-2, axis=1)[:, -2]", "-9, axis=1)[:, -9]", "test_maps.py"),
     ("maps", "(same, f", "(False, f", "test_maps.py"),
     ("maps", 'if np.prod(size / cell + 1) > MOST_MAP_CELLS', "if False", "test_maps.py"),
