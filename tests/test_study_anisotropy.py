@@ -2,6 +2,7 @@
 
 import numpy as np
 import pandas as pd
+import pytest
 from conftest import spoiled
 
 from mmqa_lab.simulate.point_patterns import point_pattern
@@ -85,3 +86,16 @@ def test_each_check_can_fail():
     for words, change in changes.items():
         (failed,) = spoiled("anisotropy", whole | change)
         assert failed.startswith(words)
+
+
+def test_a_fetched_wall_is_a_real_cloud(monkeypatch, tmp_path):
+    monkeypatch.setenv("MMQA_CACHE", str(tmp_path))
+    assert study.yard() == {}
+    xy = np.stack(np.meshgrid(np.arange(0, 9, 0.3), np.arange(0, 9, 0.03)), axis=-1).reshape(-1, 2)
+    wall = np.column_stack([xy[:, 1] - 4, np.full(len(xy), study.YARD_M[1]), xy[:, 0]])
+    np.savetxt(tmp_path / "sweep.xyz", wall)
+    monkeypatch.setattr(study.samples, "has_real", lambda name: name == "hdl32e_target")
+    monkeypatch.setattr(study.samples, "real_path", lambda name: tmp_path / "sweep.xyz")
+    xy = study.real_clouds()["wall, 32 beams"]
+    assert np.ptp(xy, axis=0) == pytest.approx([8.7, 2], abs=0.1)
+    assert study.METHODS["f"](xy) == pytest.approx(10, rel=0.1)

@@ -8,6 +8,7 @@ import pytest
 from conftest import spoiled
 
 from mmqa_lab.published import ledger
+from mmqa_lab.rotations import rotations
 from mmqa_lab.simulate import System, system
 from mmqa_lab.simulate.test_field import REFERENCE_STD_M, make_test_field
 from mmqa_lab.studies import test_field as study
@@ -121,3 +122,22 @@ def test_each_check_can_fail():
     for words, change in changes.items():
         (failed,) = spoiled("test_field", whole | change)
         assert failed.startswith(words)
+
+
+def test_public_sweeps_are_moved_onto_each_other_and_their_heights_compared(monkeypatch, tmp_path):
+    rng = np.random.default_rng(1)
+    plan = rng.uniform(-4, 4, (40_000, 2))
+    ground = np.column_stack([plan, rng.normal(-1.9, 0.003, len(plan))])
+    turn = rotations(0.01, -0.005, 0.7)
+    there = (ground - [0.0, 0.0, 0.015] - [2.0, 1.0, 0.1]) @ turn  # 15 mm lower
+    monkeypatch.setenv("MMQA_CACHE", str(tmp_path))
+    assert not any(map(study.samples.has_real, study.SWEEPS))
+    files = {name: tmp_path / f"{name}.xyz" for name in study.SWEEPS}
+    pose = np.vstack([np.column_stack([turn, [2.0, 1.0, 0.1]]), [0, 0, 0, 1]])
+    for file, rows in zip(files.values(), (ground, there, pose), strict=True):
+        np.savetxt(file, rows)
+    monkeypatch.setattr(study.samples, "real_path", files.get)
+    kept = study.sweep_heights(spacing=0.5).set_index("shift").loc["kept"]
+    assert kept["n"] > 100
+    assert kept["mean_mm"] == pytest.approx(-15, abs=0.5)
+    assert kept["std_mm"] < 2

@@ -1,5 +1,7 @@
 """Anisotropy: f = d4/d1 beside other measures on patterns of known anisotropy and real clouds."""
 
+import warnings
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -11,10 +13,12 @@ from mmqa_lab.spacing import directional, quadrants, turned_f
 
 __all__ = [
     "BOARDS", "METHODS", "bench", "boards", "pair_contrast", "pattern", "real_clouds",
-    "structure_tensor",
+    "structure_tensor", "yard",
 ]  # fmt: skip
 
 BOARDS = {"board, 16 beams": "boards/vlp16_pose02.laz", "board, 64 beams": "boards/os64_pose02.laz"}
+YARD_M = (1.1, 2.8)
+"""The place of the wall of the yard, from the scanner."""
 
 
 def structure_tensor(xy):
@@ -104,12 +108,27 @@ def boards():
     return {name: cloud.points for name, cloud in read.items()}
 
 
+def yard():
+    """Return the points of a wall in a yard, shape (n, 3), m, by name; empty if not fetched.
+
+    A scanner of 32 beams stood still: 2 m of the public cloud ``hdl32e_target``.
+    """
+    if not samples.has_real("hdl32e_target"):
+        return {}
+    with warnings.catch_warnings(action="ignore"):  # beams without an echo
+        points = io.read_cloud(samples.real_path("hdl32e_target"), columns=()).points
+    square = points[(np.abs(points[:, :2] - YARD_M) <= 1.0).all(axis=1)]
+    wall = fit_plane(square, robust=True)
+    return {"wall, 32 beams": square[np.abs((square - wall.centre) @ wall.normal) < 0.1]}
+
+
 def real_clouds():
     """Return real clouds in their planes without repeated points: shape (n, 2), m, by name.
 
-    They are the two heads of the road patch, both heads together, and the boards of MMQA_DATA.
+    They are the two heads of the road patch, both heads together, the boards of MMQA_DATA, and the
+    fetched yard.
     """
     clouds = {f"road, {name}": points for name, points in samples.road_patch_heads().items()}
-    clouds |= boards()
+    clouds |= boards() | yard()
     distinct = {name: np.unique(points, axis=0) for name, points in clouds.items()}
     return {name: fit_plane(points).project(points) for name, points in distinct.items()}

@@ -1,5 +1,6 @@
 """Test-field accuracy (EuroSDR 2013, chapter 3): predictions from data sheets, calibrations."""
 
+import warnings
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -7,22 +8,34 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab import bench as benches
-from mmqa_lab import published
+from mmqa_lab import io, published, samples
 from mmqa_lab.boresight import calibrate, corrected
 from mmqa_lab.rotations import rotations
 from mmqa_lab.simulate import PRESETS, NavigationErrors, System, measured
 from mmqa_lab.simulate.test_field import drive_test_field, make_test_field
-from mmqa_lab.test_field import height_accuracy, height_differences, plan_accuracy, plan_differences
+from mmqa_lab.test_field import (
+    height_accuracy,
+    height_differences,
+    plan_accuracy,
+    plan_differences,
+    thinned,
+)
 
 __all__ = [
     "BORESIGHT_DEG", "DIRECTIONS", "LEVER_ARM_ERROR_M", "METHODS", "REAL", "SOURCE", "STANDS_FOR",
-    "STRIP_M", "TOLERANCE", "against_published", "as_installed", "bench", "calibration_tables",
-    "columns", "from_planes", "full", "places", "predicted", "prediction_table", "published_rows",
-    "score", "two_drives", "two_heads",
+    "STRIP_M", "SWEEPS", "TOLERANCE", "against_published", "as_installed", "bench",
+    "calibration_tables", "columns", "from_planes", "full", "places", "predicted",
+    "prediction_table", "published_rows", "score", "sweep_heights", "two_drives", "two_heads",
 ]  # fmt: skip
 
 REAL = ("mls_two_drives.laz", "airborne_ground_height.npz")
 """Files of the real drives."""
+
+SWEEPS = ("hdl32e_target", "hdl32e_source", "hdl32e_pose")
+"""Public sweeps of one yard, and the pose that moves the second onto the first."""
+
+GROUND_M = -1.0
+"""The yard's ground is lower than this, from the scanner."""
 
 SOURCE = "eurosdr2013_mls"
 
@@ -361,3 +374,30 @@ def calibration_tables(results):
     by = ["method", "navigation", "reference_std_m"]
     groups = benches.cell_table(results).groupby(by, sort=False)
     return {"calibrations": groups[list(benches.figure_names(results))].mean().reset_index()}
+
+
+def sweep_heights(*, spacing, radius=0.2):
+    """Return the accuracy of one public sweep's ground against the other's, see ``SWEEPS``.
+
+    Parameters
+    ----------
+    spacing, radius : float
+        Between the heights that are compared, and of the surface at each, m.
+
+    Returns
+    -------
+    DataFrame
+        Of :func:`mmqa_lab.test_field.height_accuracy`.
+
+    Raises
+    ------
+    FileNotFoundError
+        If they were not fetched.
+    """
+    files = [samples.real_path(name) for name in SWEEPS]
+    with warnings.catch_warnings(action="ignore"):  # beams without an echo
+        one, other = (io.read_cloud(file, columns=()).points for file in files[:2])
+    pose = np.loadtxt(files[2])
+    ground = thinned(one[one[:, 2] < GROUND_M], spacing)
+    moved = other @ pose[:3, :3].T + pose[:3, 3]
+    return height_accuracy(height_differences(moved, ground, radius=radius))
