@@ -1,5 +1,6 @@
 """The three detectors: hand-made scenes, a simulated street, invariances, measures, trees."""
 
+import tracemalloc
 from functools import cache
 
 import numpy as np
@@ -215,6 +216,28 @@ def test_ground_follows_a_slope_without_roofs_and_strays(rng):
     # the lowest points of a 1 m cell lie up to 0.07 m below its middle on this slope
     assert np.abs(height[~on_roof]).max() < 0.14
     assert np.abs(height[on_roof] - 5).max() < 0.3
+
+
+def test_parts_of_a_large_cloud_are_handled_as_the_whole(monkeypatch, street):
+    points, origin = street[1].points, np.array([3.0, 5.0, 0.0])
+    whole = learned.detect(points, origin)
+    height = common.ground(points)(points)
+    monkeypatch.setattr(learned, "PART", len(points) // 7)
+    assert learned.detect(points, origin).equals(whole)
+    assert learned.describe(points).ground(points) == pytest.approx(height, abs=1e-12)
+    # a part holds the cloud's third lowest point of a cell although it is the lowest there
+    heights = np.arange(12.0)[::-1, None] * [0, 0, 1]
+    low = np.vstack([common.lowest(part) for part in np.split(heights, 4)])
+    assert np.sort(low[:, 2])[:3].tolist() == [0, 1, 2] == common.lowest(heights)[:, 2].tolist()
+
+
+def test_a_large_cloud_is_not_copied(street):
+    points = np.tile(street[1].points, (1 + 3_000_000 // len(street[1]), 1))
+    tracemalloc.start()
+    learned.describe(points, points.min(axis=0))
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 1.5 * points.nbytes
 
 
 def test_the_moving_mask_takes_posts_and_no_shrubs(rng):

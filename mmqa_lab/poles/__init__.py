@@ -105,8 +105,12 @@ def detect(
     cloud = points if isinstance(points, Cloud) else Cloud(points)
     check_same_crs("cloud", cloud.crs, "cloud", None)
     origin = np.floor(cloud.points.min(axis=0)) if len(cloud) else np.zeros(3)
-    lines = (fgi.scan_lines(cloud),) if method == "fgi" else ()
-    found = module.detect(cloud.points - origin, *lines, explain=explain, **choices)
+    if method == "learned":
+        given = cloud.points, origin
+    else:
+        lines = (fgi.scan_lines(cloud),) if method == "fgi" else ()
+        given = cloud.points - origin, *lines
+    found = module.detect(*given, explain=explain, **choices)
     if not explain and len(found) >= SEVERAL and found["height_m"].median() > TALL_M:
         warnings.warn(
             f"Half of the {len(found)} poles are higher than {found['height_m'].median():.1f} m. "

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from mmqa_lab.cloud import group_axes, sort_into_cells
 
-__all__ = ["drop_duplicates", "first_reason", "ground", "joined", "pairs", "table"]
+__all__ = ["drop_duplicates", "first_reason", "ground", "joined", "lowest", "pairs", "table"]
 
 GROUND_CELL_M, GROUND_WINDOW, GROUND_STEP_M = 1.0, 9, 0.5
 """Cell, window (cells) and step: low points higher than the opening by the step are no ground."""
@@ -48,9 +48,9 @@ def ground(points):
     >>> ground(street)(np.array([[10.0, 10.0]])).tolist()
     [0.0]
     """
-    rank = points[:, 2].argsort()
-    order, starts, places = sort_into_cells(points[rank, :2], GROUND_CELL_M)
-    third = rank[order[np.minimum(starts[:-1] + 2, starts[1:] - 1)]]
+    points = points[points[:, 2].argsort()]
+    order, starts, places = sort_into_cells(points[:, :2], GROUND_CELL_M)
+    third = order[np.minimum(starts[:-1] + 2, starts[1:] - 1)]
     squeezed = [_squeezed(axis) for axis in places.T]
     places = np.column_stack(
         [squeeze(axis) for squeeze, axis in zip(squeezed, places.T, strict=True)]
@@ -76,6 +76,20 @@ def ground(points):
         return ndimage.map_coordinates(grid, place, order=1, mode="nearest")
 
     return height
+
+
+def lowest(points):
+    """Return the three lowest points of each cell of the ground, which are enough for ``ground``.
+
+    Examples
+    --------
+    >>> lowest(np.array([[0, 0, 3.0], [0, 0, 1.0], [0, 0, 4.0], [0, 0, 2.0]]))[:, 2].tolist()
+    [1.0, 2.0, 3.0]
+    """
+    points = points[points[:, 2].argsort()]
+    order, starts, _ = sort_into_cells(points[:, :2], GROUND_CELL_M)
+    rank = np.arange(len(order)) - np.repeat(starts[:-1], np.diff(starts))
+    return points[order[rank < 3]]
 
 
 def _squeezed(cells):

@@ -15,7 +15,7 @@ import pandas as pd
 from scipy import ndimage
 
 from mmqa_lab.cloud import sort_into_cells
-from mmqa_lab.poles.common import drop_duplicates, first_reason, ground, pairs, table
+from mmqa_lab.poles.common import drop_duplicates, first_reason, ground, lowest, pairs, table
 
 __all__ = ["MEASURES", "Trees", "describe", "detect", "grow", "lessons", "shipped", "write"]
 
@@ -340,8 +340,8 @@ def _wide(coarse, axes):
     off, z = coarse[b, :2] - axes[a, :2], coarse[b, 2]
     bands = {"low": (0, 1), "mid": (1, 2.5), "high": (2.5, 5), "top": (5, 99)}
     found = {}
-    for name, (lowest, highest) in bands.items():
-        which = (np.hypot(*off.T) > 1.0) & (z >= lowest) & (z < highest)
+    for name, (least, most) in bands.items():
+        which = (np.hypot(*off.T) > 1.0) & (z >= least) & (z < most)
         found[f"around_{name}"] = _arcs(a[which], off[which], len(axes))
     return found
 
@@ -525,23 +525,38 @@ class Described(NamedTuple):
         return self.axes[:, :2] + shift
 
 
-def describe(points):
-    """Return the ``Described`` candidates of points (n, 3), metres from an origin nearby."""
-    height_of = ground(points)
-    height = points[:, 2] - height_of(points)
-    above = points[(height > LOW_M) & (height < BINS * BIN_M)]
+def describe(points, origin=0.0):
+    """Return the ``Described`` candidates of points (n, 3), metres from an origin nearby (3,)."""
+
+    def parts():
+        """The points from the origin, a part at a time: a large cloud is held once."""
+        for first in range(0, len(points), PART):
+            yield points[first : first + PART] - origin
+
+    def over_ground(part):
+        height = part[:, 2] - height_of(part)
+        return part[(height > LOW_M) & (height < BINS * BIN_M)]
+
+    height_of = ground(np.concatenate([lowest(part) for part in parts()]))
+    above = np.concatenate([over_ground(part) for part in parts()])
     thin = thinned(above, height_of)
     axes = fit_axes(thin, *candidates(thin)) if len(above) else np.empty((0, 5))
     return Described(axes, *measure(thin, axes), height_of, above, thin.coarse)
 
 
-def detect(points, *, threshold=THRESHOLD, trees=None, explain=False):
+PART = 1_000_000
+"""Points that are handled at a time while the ground is sought."""
+
+
+def detect(points, origin=0.0, *, threshold=THRESHOLD, trees=None, explain=False):
     """Return the poles of points (n, 3) as :func:`mmqa_lab.poles.detect` does.
 
     Parameters
     ----------
     points : array, shape (n, 3)
-        Metres from an origin nearby.
+        Metres.
+    origin : array, shape (3,), optional
+        A place nearby, from which the poles are told.
     threshold : float
         Least score of a pole.
     trees : Trees, optional
@@ -554,11 +569,10 @@ def detect(points, *, threshold=THRESHOLD, trees=None, explain=False):
     -------
     DataFrame
         The columns of :func:`mmqa_lab.poles.common.table`, the interval of the diameter, and
-        ``section_m``, in the origin of ``points``.
+        ``section_m``, from the origin.
     """
     trees = shipped() if trees is None else trees
-    points = points if len(points) else np.zeros((1, 3))  # ground without poles
-    found = describe(points)
+    found = describe(points if len(points) else np.zeros((1, 3)), origin)  # ground without poles
     axes, height_of = found.axes, found.ground
     score = trees.score(found.measures)
     doubtful = score > DOUBT
@@ -674,7 +688,7 @@ def lessons(points, targets, *, weight=1.0, poles=2.5):
         of any pole are left out.
     """
     origin = np.floor(points.min(axis=0))
-    found = describe(points - origin)
+    found = describe(points, origin)
     half = targets["height_m"].to_numpy() / 2
     height = found.ground(found.axes) + (found.shaft["low"] + found.shaft["high"]) / 2 + origin[2]
     rise = np.clip(height[:, None] - targets["z_base_m"].to_numpy() - half, -half, half)
