@@ -39,8 +39,8 @@ DRIVES = (("roamer", 50), ("push-broom", 60), ("crossed", 40), ("hdl-32e", 24), 
 def yard(rng, length):
     """Return a level street of posts, of trees and people, and of what only looks like posts."""
     things, rows = [surfaces.ground(size=(400.0, 400.0))], []
-    kinds = (*[_post] * 6, *[_board] * 3, _tree, _tree, _person, _gate, _gate, _fence, _porch)
-    kinds += (_porch, _guyed, _scaffold, _shelter, _front, _front, _terrace)
+    kinds = (*[_post] * 6, *[_walled] * 4, *[_board] * 3, *[_porch] * 4, _tree, _tree, _person)
+    kinds += (_gate, _gate, _fence, _guyed, _scaffold, _shelter, _front, _front, _terrace)
     for side in (-1.0, 1.0):
         out, y = side * np.array([1.0, 0, 0]), 0.0
         while y < length:
@@ -79,6 +79,19 @@ def _post(rng, at, out):
     beside = [[wall], [crown], mast, [head], [flag], []][rng.integers(6)]
     slender = height >= learned.SLENDER * 2 * radius
     return [post, *(beside if rng.random() < 0.7 else [])], [truth] if slender else [], 0.5
+
+
+def _walled(rng, at, out):
+    """One to four posts before a wall that is lower or higher than they are."""
+    n, (step, over, tall) = rng.integers(1, 5), rng.uniform([0.8, 0.3, 1.5], [3, 3, 6.5])
+    made, back = [], at + rng.uniform(0.3, 1.1) * out
+    for k in range(n):
+        height, radius = np.exp(rng.uniform(*np.log([[1.2, 0.02], [7, 0.17]])))
+        height = max(height, learned.SLENDER * 2 * radius)
+        made.append(streets.shaft(rng, at + k * step * ALONG, "other", radius, radius, height))
+    wall = rectangle(back - over * ALONG, ((n - 1) * step + 2 * over) * ALONG, tall * UP)
+    posts, truths = zip(*made, strict=True)
+    return [*posts, wall], truths, (n - 1) * step + over
 
 
 def _board(rng, at, out):
@@ -160,13 +173,13 @@ def _fence(rng, at, _):
 def _porch(rng, at, out):
     """Columns that carry a roof before a wall."""
     draw, half = rng.uniform, rng.uniform(1, 3) * ALONG
-    deep, thick, rise, inset = draw([1.0, 0.15, 2.2, 0.1], [2.5, 1.2, 3.5, 0.4])
+    deep, thick, rise, inset = draw([0.65, 0.15, 2.0, 0.1], [2.5, 1.2, 6.5, 0.4])
     parts = []
     for foot in at + np.outer(np.linspace(-0.9, 0.9, rng.integers(2, 5)), half):
         parts.append(cylinder(foot, foot + rise * UP, draw(0.07, 0.25)))
     roof, wall = at + (deep / 2 - inset) * out, at + (deep - inset) * out - 2 * half
     parts.append(box(roof + rise * UP, (deep, 2 * half[1], thick)))
-    parts.append(rectangle(wall, 4 * half, draw(3, 7) * UP))
+    parts.append(rectangle(wall, 4 * half, (rise + draw(0, 4)) * UP))
     return parts, [], half[1]
 
 
