@@ -2,17 +2,17 @@
 
 import subprocess
 import sys
+import tracemalloc
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+import window_rows
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from mmqa_lab.lines import (
-    components,
-    peak_threshold,
-)
+from mmqa_lab.lines import components, correspond, match_displaced, peak_threshold
+from mmqa_lab.lines.pairing import MATCHERS
 
 LAMBERT_93 = np.array([651_234.56, 6_862_345.67, 35.0])
 
@@ -184,3 +184,69 @@ def test_the_peak_is_that_of_a_running_maximum(rng, sensitivity):
 def test_importing_the_lines_leaves_signal_processing_out():
     code = "import sys, mmqa_lab.lines; sys.exit('scipy.signal' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10**6), st.sampled_from(MATCHERS), st.floats(0, 1e7))
+def test_pairs_depend_neither_on_the_order_of_rows_nor_on_the_origin(seed, matcher, shift):
+    rng = np.random.default_rng(seed)
+    test, model, _, _ = window_rows.scene(seed % 50, share=0.3, length=10.0, shift=0.3)
+    rows, columns = rng.permutation(len(test)), rng.permutation(len(model))
+
+    def paired(test, model):
+        choices = {"matcher": matcher, "test": test, "model": model}
+        return correspond(components(test, model).distance(10), 1.0, **choices)
+
+    once, again = paired(test, model), paired(test[rows] + shift, model[columns] + shift)
+    assert (once[np.ix_(rows, columns)] == again).all()
+
+
+@settings(max_examples=5, deadline=None, phases=[Phase.generate])
+@given(st.integers(0, 10**6), st.sampled_from([0.0, 1e3, 1e7]), st.sampled_from([1e3, 1e6, 1e9]))
+def test_copies_far_lines_order_and_origin_do_not_change_a_displacement(seed, shift, far):
+    """Any line given again, either way round; lines far away in each set; rows in any order."""
+    rng = np.random.default_rng(seed)
+    test, model, _, _ = window_rows.scene(seed % 40, share=0.5, length=12.0, drift=0.2)
+    once = match_displaced(test, model)
+    kept, others = [], []
+    for ends, side in ((test, far), (model, -far)):
+        again = rng.integers(0, len(ends), rng.integers(0, 2 * len(ends)))
+        away = ends[:2] + far * rng.choice([-1, 0, 1], (2, 1, 3)) * [1, 0, 1] + [0, side, 0]
+        more = np.concatenate([ends, ends[again][:, ::-1], away])
+        order = rng.permutation(len(more))
+        others.append(more[order] + shift)
+        kept.append(np.concatenate([np.arange(len(ends)), again, [-1, -1]])[order])
+    tracemalloc.start()
+    found = match_displaced(*others)
+    assert tracemalloc.get_traced_memory()[1] < 2e8
+    tracemalloc.stop()
+    rows, columns = (kept[k][index] for k, index in enumerate(np.nonzero(found.pairs)))
+    pairs = sorted(zip(rows.tolist(), columns.tolist(), strict=True))
+    assert pairs == [tuple(pair) for pair in np.argwhere(once.pairs).tolist()]
+    np.testing.assert_allclose(found.vector, once.vector, atol=1e-5)
+    np.testing.assert_allclose(found.covariance, once.covariance, rtol=1e-3, atol=1e-9)
+
+
+def test_a_long_street_needs_little_memory():
+    """3 km: the displacement sought at its ends does not grow with the street."""
+    along = np.arange(0, 3000, 10.0)[:, None, None] * [0, 1, 0]
+    posts = (
+        along
+        + np.array([[0, 0, 0], [0, 0, 5]])
+        + np.random.default_rng(1).uniform(0, 3, (300, 1, 3))
+    )
+    ledges = posts[:, :1] + np.array([[0, 0, 0], [0, 4, 0]])
+    model = np.concatenate([posts, ledges])
+    tracemalloc.start()
+    found = match_displaced(model + [2.0, -1.0, 0.5], model)
+    assert tracemalloc.get_traced_memory()[1] < 3e8
+    tracemalloc.stop()
+    np.testing.assert_allclose(found.vector, [2.0, -1.0, 0.5], atol=1e-3)
+    assert found.n >= 590
+
+
+@pytest.mark.parametrize("radius", [0, -1.0, 21.0, np.nan])
+def test_a_radius_that_no_memory_holds_is_refused(radius):
+    line = [[[0, 0, 0], [0, 0, 9]]]
+    with pytest.raises(ValueError, match="Invalid radius"):
+        match_displaced(line, line, radius=radius)

@@ -23,7 +23,7 @@ from numba import njit
 from numpy.typing import ArrayLike
 from scipy import stats
 
-from mmqa_lab._checks import check_positive
+from mmqa_lab._checks import check_number
 from mmqa_lab._results import Shown, about
 from mmqa_lab.lines.pairing import Pairs, apart, levers
 from mmqa_lab.lines.segments import components, from_common_origin, lengths, midpoints
@@ -40,9 +40,12 @@ STEP_M, FINE_M, FINE_RADIUS_M = 0.3, 0.15, 1.5
 STATION_M, MOST_STATIONS, AGREE = 5.0, 60, 1.7
 """Distance of stations, their number, and the distance in steps within which lines agree."""
 
-CHANGE, USUAL_CHANGE = 0.06, 0.05
-"""Largest change of the displacement with the distance from the middle (a turn of 3.4 degrees), and
-its usual change from station to station, m/m."""
+MOST_RADIUS_M, MOST_VOTES = 20.0, 3e7
+"""Largest radius, and number of votes at all stations that is kept in memory."""
+
+CHANGE, USUAL_CHANGE, CHANGED_M = 0.06, 0.05, 6.0
+"""Largest change of the displacement with the distance from the middle (a turn of 3.4 degrees), its
+usual change from station to station, m/m, and its largest change in all, m."""
 
 TURNS = np.radians([-3, -1.5, 0, 1.5, 3])
 """Turns tried between the lines on both sides of the path."""
@@ -184,8 +187,8 @@ def match_displaced(test: ArrayLike, model: ArrayLike, *, radius: float = 4.0) -
     test, model : array_like, shapes (p, 2, 3) and (q, 2, 3)
         Segments, m.
     radius : float
-        Largest displacement sought in the middle of the lines, m. A turn may move the outer lines
-        farther. A larger radius takes time and admits more false hypotheses.
+        Largest displacement sought in the middle of the lines, 0.1 to 20 m. A turn may move the
+        outer lines by another 6 m. A larger radius takes time and admits more false hypotheses.
 
     Returns
     -------
@@ -196,7 +199,7 @@ def match_displaced(test: ArrayLike, model: ArrayLike, *, radius: float = 4.0) -
     Raises
     ------
     ValueError
-        If the radius is not positive.
+        If the radius is not between 0.1 and 20 m.
 
     See Also
     --------
@@ -225,22 +228,37 @@ def match_displaced(test: ArrayLike, model: ArrayLike, *, radius: float = 4.0) -
     True
     """
     test, model = from_common_origin(test, model)
-    radius = check_positive(radius, "radius", unit="m")
-    lines = _candidates(test, model, radius)
-    pairs = np.zeros(lines.shape, dtype=bool)
-    if len(lines.rows) >= 3:
-        search = _Search(lines, radius)
-        paths = islice(search.paths(), PATHS)
-        starts = [_retraced(lines, search, path, turn) for path in paths for turn in TURNS]
-        outcomes = [_refined(lines, start) for start in starts]
-        evidence, found = max(outcomes, key=itemgetter(0))
-        number = found.sum()
-        rivals = [other for other, them in outcomes if (them & found).sum() < number / 2]
-        share = found.any(axis=1).sum() / min(lines.shape)
-        least = number * max(LEAST_EVIDENCE, FEW_EVIDENCE - PER_SHARE * share)
-        if evidence > max([least, *(other / RIVAL for other in rivals)]):
-            pairs = found
+    radius = check_number(radius, "radius", low=0.1, high=MOST_RADIUS_M, unit="m")
+    pairs = np.zeros((len(test), len(model)), dtype=bool)
+    if len(test) >= 3 and len(model):
+        rows, columns = _distinct(test), _distinct(model)
+        pairs[np.ix_(rows, columns)] = _matched(test[rows], model[columns], radius)
     return fit_displacement(test, model, pairs)
+
+
+def _distinct(segments):
+    """Rows of the segments, the first of equal ones, in an order that only segments decide."""
+    sizes = segments @ np.sqrt([1, 2, 3])
+    turned = np.where((sizes[:, 0] > sizes[:, 1])[:, None, None], segments[:, ::-1], segments)
+    return np.unique(turned, axis=0, return_index=True)[1]
+
+
+def _matched(test, model, radius):
+    """Pairs of the displacement that unites most lines; none if it does not stand out."""
+    lines = _candidates(test, model, radius)
+    none = np.zeros(lines.shape, dtype=bool)
+    if len(lines.rows) < 3:
+        return none
+    search = _Search(lines, radius)
+    paths = islice(search.paths(), PATHS)
+    starts = [_retraced(lines, search, path, turn) for path in paths for turn in TURNS]
+    outcomes = [_refined(lines, start) for start in starts]
+    evidence, found = max(outcomes, key=itemgetter(0))
+    number = found.sum()
+    rivals = [other for other, them in outcomes if (them & found).sum() < number / 2]
+    share = found.any(axis=1).sum() / min(lines.shape)
+    least = number * max(LEAST_EVIDENCE, FEW_EVIDENCE - PER_SHARE * share)
+    return found if evidence > max([least, *(other / RIVAL for other in rivals)]) else none
 
 
 def _candidates(test, model, radius):
@@ -248,10 +266,17 @@ def _candidates(test, model, radius):
     parts, size = components(test, model), (lengths(test)[:, None], lengths(model))
     parallel = parts.angle < np.sin(np.radians(8)) * np.minimum(*size)
     gap = np.abs(parts.shift) - (size[0] + size[1]) / 2
-    centre = midpoints(test).sum(axis=0) / max(len(test), 1)
-    reach = radius + CHANGE * np.linalg.norm(midpoints(test) - centre, axis=1)[:, None]
+    middles = midpoints(test)
+    off = np.linalg.norm(middles - middles[_together(middles)].mean(axis=0), axis=1)
+    reach = radius + np.minimum(CHANGE * off, CHANGED_M)[:, None]
     near = parallel & (parts.perpendicular < reach) & (gap < reach)
     return Pairs(test, model, *np.nonzero(near))
+
+
+def _together(places):
+    """Which places are not many times as far from the middle as most are."""
+    off = np.linalg.norm(places - np.median(places, axis=0), axis=1)
+    return off <= 5 * np.median(off)
 
 
 class _Search:
@@ -264,21 +289,23 @@ class _Search:
     def __init__(self, lines, radius, moved=None):
         step = STEP_M if moved is None else FINE_M
         places = midpoints(lines.test) - midpoints(lines.model).mean(axis=0)
-        self.centre = places.mean(axis=0)
-        flat = (places - self.centre)[:, :2]
+        together = places[_together(places)]
+        self.centre = together.mean(axis=0)
+        flat = (together - self.centre)[:, :2]
         self.way = np.linalg.eigh(flat.T @ flat)[1][:, 1]
-        along = self.along(places)
-        self.low, self.high = along.min(), along.max() + 1e-9
-        number = int(min(np.ceil((self.high - self.low) / STATION_M), MOST_STATIONS)) + 1
-        self.stations, gap = np.linspace(self.low, self.high, number, retstep=True)
+        along = self.along(together)
+        low, high = along.min(), along.max() + 1e-9
+        farthest = min(CHANGE * max(-low, high), CHANGED_M) * (moved is None)
+        wide, up = (int(most / step) + 2 for most in (radius + farthest, radius))
+        shape = 2 * wide + 1, 2 * wide + 1, 2 * up + 1
+        number = min(np.ceil((high - low) / STATION_M), MOST_STATIONS, MOST_VOTES // np.prod(shape))
+        self.stations, gap = np.linspace(low, high, int(number) + 1, retstep=True)
         # multiples of 1 / 1024 have sums that do not depend on the order of rows
-        shares = np.maximum(0, 1 - np.abs(along - self.stations[:, None]) / gap)
+        shares = np.maximum(0, 1 - np.abs(self.along(places) - self.stations[:, None]) / gap)
         shares = np.round(32 * shares).astype(np.float32) / 32
-        reach = radius + CHANGE * np.abs(self.stations) * (moved is None)
-        wide, high = (int(most / step) + 2 for most in (reach.max(), radius))
-        shape = 2 * wide + 1, 2 * wide + 1, 2 * high + 1
+        reach = radius + np.minimum(CHANGE * np.abs(self.stations), farthest)
         self.strides = 1, shape[2], shape[1] * shape[2]
-        self.moves = step * (np.indices(shape).reshape(3, -1).T - [wide, wide, high])
+        self.moves = step * (np.indices(shape).reshape(3, -1).T - [wide, wide, up])
         far = np.where(np.abs(self.moves[:, 2]) > radius, np.inf, (self.moves**2).sum(axis=1))
         self.votes = np.where(far > reach[:, None] ** 2, np.float32(-np.inf), np.float32(0))
         _vote(self.votes, lines, moved, self.moves / step, step, shares)
