@@ -303,15 +303,12 @@ def _check_header(path, header):
         held = max(held, header.point_count)  # where it is cut short is said when it is read
     held = max(held, legacy if header.point_count == 0 else 0)
     if held != header.point_count:
-        found = f"{held} points where the header says {header.point_count}"
+        found = f"{held or 'another number of'} points where the header says {header.point_count}"
         raise ValueError(f"Invalid cloud {path}: {found}. Must agree.")
-    if (returns := int(sum(header.number_of_points_by_return))) > held:
-        told = f"its header counts {returns} returns but {held} points: some may be missing"
-        warnings.warn(f"{path}: {told}.", stacklevel=4)
 
 
 def _laz_points(path, header):
-    """How many points the chunks of a LAZ file hold; as the header says if they can be as many.
+    """How many points the chunks of a LAZ file hold.
 
     The table of chunks stands where the points begin to say, or the last bytes of a file that was
     written as a stream. A damaged one would ask for any amount of memory. Chunks of formats 6 to 10
@@ -319,9 +316,10 @@ def _laz_points(path, header):
     """
     import lazrs
 
-    vlr = lazrs.LazVlr(header.vlrs.get_by_id("laszip encoded")[0].record_data)
+    record = header.vlrs.get_by_id("laszip encoded")[0].record_data
+    vlr, size, first = lazrs.LazVlr(record), header.point_format.size, header.offset_to_point_data
     with Path(path).open("rb") as file:
-        for place, whence in ((header.offset_to_point_data, 0), (-8, 2)):
+        for place, whence in ((first, 0), (-8, 2)):
             file.seek(place, whence)
             (table,) = struct.unpack("<q", file.read(8))
             if table != -1:
@@ -329,17 +327,41 @@ def _laz_points(path, header):
         file.seek(table)
         if struct.unpack("<4xI", file.read(8))[0] > Path(path).stat().st_size:
             raise ValueError("more chunks than bytes")
-        file.seek(header.offset_to_point_data)
+        file.seek(first)
         chunks = lazrs.read_chunk_table(file, vlr)
-        most = sum(count for count, _ in chunks)
-        if vlr.uses_variable_size_chunks() or not chunks:
-            return most
-        before = most - chunks[-1][0]
-        if header.point_format.id < FIRST_LAYERED:
-            return min(max(header.point_count, before + 1), most)
-        first = header.offset_to_point_data + 8 + sum(length for _, length in chunks[:-1])
-        file.seek(first + header.point_format.size)
-        return before + struct.unpack("<I", file.read(4))[0]
+        ends = first + 8 + np.cumsum([0, *(length for _, length in chunks)])
+        if ends[-1] != table:
+            raise ValueError("chunks that do not reach from the first point to their table")
+        if header.point_format.id < FIRST_LAYERED and chunks:
+            return _pointwise(file, record, header, chunks, ends)
+        held = 0
+        for end in ends[:-1]:
+            file.seek(end + size)
+            held += struct.unpack("<I", file.read(4))[0]
+        return held
+
+
+def _pointwise(file, record, header, chunks, ends):
+    """How many points the chunks of formats 0 to 5 hold; 0 if all that is known is not as many.
+
+    The last chunk has no count: its bytes must be those of the points that the header leaves to it.
+    """
+    import lazrs
+
+    size, most = header.point_format.size, sum(count for count, _ in chunks)
+    before = most - chunks[-1][0]
+    if not before < header.point_count <= most:
+        return before + 1 if header.point_count <= before else most
+    file.seek(ends[-2])
+    stored = file.read(chunks[-1][1]).rstrip(b"\0")
+    file.seek(header.offset_to_point_data)
+    reader = lazrs.LasZipDecompressor(file, record)
+    reader.seek(before)
+    points = bytearray((header.point_count - before) * size)
+    reader.decompress_many(points)
+    again = bytes(lazrs.compress_points(lazrs.LazVlr(record), bytes(points), False))
+    written = again[8 : struct.unpack("<q", again[:8])[0]].rstrip(b"\0")
+    return header.point_count if written == stored else 0
 
 
 def _ply_pieces(path):
