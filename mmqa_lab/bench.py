@@ -8,6 +8,7 @@ a value and the reasons. A study is a :class:`Comparison` of cases, methods, tab
 from __future__ import annotations
 
 import copy
+import inspect
 import itertools
 import numbers
 import traceback
@@ -225,6 +226,8 @@ def _record(study, method, data, truth, reserved):
     """The numbers that a method returns, and a sentence on invalid values."""
     try:
         result = method(copy.deepcopy(data))  # a method may change its copy
+        if result is None:
+            raise TypeError("nothing is returned")
         result = result if study.score is None else study.score(result, truth)
     except study.costs_cells as error:
         return {"failure": _reason(error, method)}
@@ -261,7 +264,8 @@ def _truths(truth):
 
 def _place(method):
     """Where a function is defined, in brackets; empty where Python does not know."""
-    code = getattr(method, "__code__", None)
+    own = inspect.unwrap(getattr(method, "func", method))  # of a partial or decorated function
+    code = getattr(own, "__code__", getattr(type(own).__call__, "__code__", None))
     return f" (line {code.co_firstlineno} of {code.co_name})" if code else ""
 
 

@@ -5,6 +5,7 @@ import math
 import re
 import warnings
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -125,7 +126,15 @@ def leaves(x):
     raise SystemExit(3)
 
 
+class Taking:
+    """A method that takes two things."""
+
+    def __call__(self, x, y):
+        return x
+
+
 MUST = "Must be finite numbers (line N of <lambda>)."
+NEEDS = "missing 1 required positional argument: 'y'"
 BAD = {
     "raises": (raises, "RuntimeError: no signal (line N of raises)"),
     "leaves": (leaves, "SystemExit: 3 (line N of leaves)"),
@@ -143,6 +152,12 @@ BAD = {
         lambda x: [[1], [1, 2]],
         "value is of type list. Must be finite numbers (line N of <lambda>).",
     ),
+    "nothing": (lambda x: None, "TypeError: nothing is returned (line N of <lambda>)"),
+    "part": (
+        partial(lambda x, y, z: x, 1),
+        f"TypeError: <lambda>() {NEEDS.replace('y', 'z')} (line N of <lambda>)",
+    ),
+    "object": (Taking(), f"TypeError: Taking.__call__() {NEEDS} (line N of __call__)"),
     "empty": (lambda x: {}, f"the dict is empty. {MUST}"),
     "taken": (
         lambda x: {"count": 3},
@@ -365,6 +380,15 @@ def test_command_says_what_failed_and_goes_on_or_raises(call):
         call("--method researcher:upset --raise")
     _, out, _ = call("--method researcher:words --quick")
     assert "words: value is of type str. Must be finite numbers (line 13 of words)." in out
+
+
+def test_a_failing_method_is_named_where_the_answer_has_no_row_for_it(call, monkeypatch):
+    tables = {"tables": lambda results: {"models": pd.DataFrame({"model": ["a", "b"]})}}
+    study = bench.Comparison(CASES, dict(METHODS), noisy, None, (0, 1), **tables)
+    monkeypatch.setattr(lhd_weight, "bench", lambda seeds: study)
+    status, out, _ = call("--method researcher:upset --quick")
+    assert status == 0
+    assert "upset: 12 of 12 cells not measured; the first: ValueError: no signal (line 11" in out
 
 
 @pytest.mark.parametrize(

@@ -130,6 +130,21 @@ def test_what_is_empty_or_wide_fits_the_terminal():
     assert machine.as_text(wide[:0]).splitlines()[-1] == "none"
 
 
+@pytest.mark.parametrize("files", [1, 2, 9])
+def test_coordinates_are_printed_to_the_centimetre_in_degrees_too(files, tmp_path, capfd):
+    place = np.array([11.5123456, 48.1234567, 512.34])
+    names = [tmp_path / f"{k}.xyz" for k in range(files)]
+    for name in names:
+        np.savetxt(name, place + np.random.default_rng(1).random((60, 3)) * [1e-5, 1e-5, 1], "%.9f")
+    np.savetxt(tmp_path / "far.xyz", [[452123.456, 5411234.567, 1]] * 3, "%.3f")
+    (tmp_path / "bad.xyz").write_text("a b c\n")
+    given = [*names, tmp_path / "far.xyz", *([tmp_path / "bad.xyz"] if files > 1 else [])]
+    assert commands.run(["info", *map(str, given)]) == int(files > 1)
+    shown = capfd.readouterr().out
+    assert all(text in shown for text in ("11.51234", "48.12345", "452123.456", "5411234.567"))
+    assert "nan" not in shown
+
+
 def test_lab_asks_the_notebook_server_before_it_ends(monkeypatch):
     class Server:
         """Goes on after the first Ctrl-C, as Jupyter does until it has an answer."""

@@ -70,7 +70,7 @@ def bench(
             kept = {"cells": bench.cell_table(results), "failures": bench.failures(results)}
             _write_bench(out, tables | kept, lambda: bench.plot_tables(drawn, own=[*own]))
     failed = bench.failures(results).query("method in @own").drop_duplicates("method")
-    if failed.empty:
+    if failed.empty or "method" not in answer:  # then the warning of the run says it
         return answer
     remarks = dict(zip(failed["method"], failed["method"] + ": " + failed["reason"], strict=True))
     return answer.assign(remarks=answer["method"].map(remarks).fillna(""))

@@ -217,6 +217,8 @@ def as_text(frame):
         if frame[name].astype(str).str.len().max() > WIDTH / 2:
             below = [*_sentences(frame, name), *below]
             frame = frame.drop(columns=name)
+    for name in frame.columns[frame.columns.str.fullmatch(r"[xyz]_(low|high)(_m)?")]:
+        frame[name] = [f"{round(one, 7):.10g}".replace("nan", "") for one in frame[name]]
     first = frame.columns[0]
     shown = frame.set_index(first).rename_axis(index=None, columns=first)
     style = {"float_format": _figure, "line_width": WIDTH, "na_rep": ""}
