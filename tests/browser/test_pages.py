@@ -1,6 +1,7 @@
 """The pages of a run in Chromium: answers on the first screen, ledger and glossary on a phone."""
 
 import base64
+import re
 import shutil
 
 import matplotlib.pyplot as plt
@@ -97,3 +98,29 @@ def test_a_page_of_a_notebook_has_no_barrier(opened, barriers):
     page = opened(f"{STUDIES[0].stem}/seen.html")
     assert not barriers(page)
     assert page.locator("img").get_attribute("alt") == "A line that rises."
+
+
+@pytest.mark.parametrize(
+    ("name", "width"),
+    [("index.html", 700), ("ledger.html", 1030), ("glossary.html", 700), ("api.html", 700)],
+)
+def test_pages_print_and_need_no_network(opened, name, width):
+    """On A4, the wide ledger across, without its box to type in, no word cut in two."""
+    page = opened("index.html")
+    asked = []
+    page.on("request", lambda request: asked.append(request.url))
+    page = opened(name)
+    assert asked
+    assert all(url.startswith(("file:", "data:")) for url in asked)
+    page.emulate_media(media="print")
+    page.set_viewport_size({"width": width, "height": 900})
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    assert not page.locator("input").all() or page.locator("input").is_hidden()
+    pages_of = page.pdf(prefer_css_page_size=True, format="A4")
+    box = re.search(rb"/MediaBox \[0 0 ([\d.]+) ([\d.]+)\]", pages_of)
+    assert (float(box[1]) > float(box[2])) == (name == "ledger.html")
+    if name == "ledger.html":
+        first = "#rows tbody tr:first-child td:nth-child({})"
+        lines = "one => one.clientHeight"
+        heights = [page.locator(first.format(k)).evaluate(lines) for k in (1, 2, 8, 9)]
+        assert max(heights) < 20  # each word on one line
