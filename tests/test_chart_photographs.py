@@ -151,18 +151,26 @@ def test_what_is_hidden_is_said_and_moves_no_figure(name):
         assert not unseen or sigma * shot.length(bars[0]) > 0.5 * size  # half a pixel of the length
 
 
-@pytest.mark.parametrize("other_mm", [5.5, 12.0])
-def test_of_two_charts_the_larger_is_measured_and_both_are_said(other_mm):
+@pytest.mark.parametrize(
+    ("blur", "other_mm", "other_blur", "seen"),
+    [
+        (0.5, 5.5, 0.5, 2),
+        (0.5, 12.0, 1.5, 2),  # its targets cannot be decoded
+        (3.0, 6.5, 0.5, 2),  # nor those of the larger one
+        (0.5, 40.0, 0.5, 1),  # a chart of 25 pixels is not seen
+    ],
+)
+def test_of_two_charts_the_larger_is_measured_and_both_are_said(blur, other_mm, other_blur, seen):
     large, small = (
-        shoot(CHART, size, seed=1, mono=True, margin=0.2).image for size in (4.0, other_mm)
+        shoot(CHART, size, seed=1, mono=True, margin=0.2, blur=one).image
+        for size, one in ((4.0, blur), (other_mm, other_blur))
     )
     image = np.full((len(large), large.shape[1] + small.shape[1]), 90, np.uint8)
     image[: len(small), : small.shape[1]] = small
     image[:, small.shape[1] :] = large
     there = chart_image.locate(image, CHART)
     assert there.pixel_sizes_mm([[500, 500]]) == pytest.approx(4.0, rel=0.02)
-    # coded targets of 12 mm pixels cannot be decoded: nothing confuses the larger chart
-    assert there.charts == 1 + (other_mm < 12)
+    assert there.charts == seen
 
 
 def test_a_flat_chart_of_other_pairs_gets_no_bend():

@@ -29,9 +29,10 @@ __all__ = [
     "four_corners", "locate",
 ]  # fmt: skip
 
-ENLARGEMENTS, ENLARGED_PIXELS, SHRUNK_PIXELS = (1, 2, 4), 4e6, 25e6
+ENLARGEMENTS, ENLARGED_PIXELS, SHRUNK_PIXELS, OTHERS_PIXELS = (1, 2, 4), 4e6, 25e6, 6e6
 """Factors of enlargement for small targets, and the number of pixels up to which they are used;
-targets are sought in larger images than the last one made that small first."""
+targets are sought in larger images than the next one made that small first; a second chart without
+targets in images of the last one: there it must be 50 pixels wide."""
 
 SLENDEREST, MOST_STREAKS = 6.0, 1500
 """Least length of a dark streak over its width to count as a bar; number of streaks at most."""
@@ -396,7 +397,7 @@ def locate(
     if corners is not None:
         corners = four_corners(corners, columns=2)
         return place(layout.corners(), corners, source="corners")
-    grey = _stretched(image)
+    grey, by_bars = _stretched(image), {"source": "long bars", "camera": camera, "offset": offset}
     markers = {marker.identifier: marker for marker in layout.of_kind(Marker)}
     shrunk = min((SHRUNK_PIXELS / grey.size) ** 0.5, 1)
     for times in (shrunk, 1) if shrunk < 1 else (1,):
@@ -410,10 +411,14 @@ def locate(
             seen = np.concatenate([corners for _, corners in groups[0]])
             source = f"{len(groups[0])} coded targets"
             chart_map = place(places, seen, source=source)
-            return replace(chart_map, charts=sum(len(group) > 1 for group in groups))
+            other = _other(grey, chart_map, layout)
+            charts = sum(len(group) > 1 for group in groups), 1 + (other.charts if other else 0)
+            if other and _side(other, layout) > _side(chart_map, layout):
+                chart_map = _plain(other, layout, **by_bars)
+            return replace(chart_map, charts=max(charts))
         chart_map = _by_bars(grey, layout, times) if times == shrunk else None
         if chart_map is not None:
-            return _plain(chart_map, layout, source="long bars", camera=camera, offset=offset)
+            return _plain(chart_map, layout, **by_bars)
     raise ValueError(
         f"Invalid image: {len(found)} of {len(markers)} coded targets and no long bars found. "
         "Must show the whole chart, not cut by the border, or its corners must be given."
@@ -463,6 +468,21 @@ def _by_chart(found, markers, layout):
             groups.append((middle, side, [(key, corners)]))
     groups = sorted(groups, key=lambda group: (-min(len(group[2]), 3), -group[1]))
     return [group[2] for group in groups]
+
+
+def _other(grey, chart_map, layout):
+    """The largest of other charts, whose targets may be too small or blurred, or None.
+
+    Paints over the one that is known.
+    """
+    outline = chart_map.outline(layout.corners()).round().astype(np.int32)
+    factor = min((OTHERS_PIXELS / grey.size) ** 0.5, 1)
+    return _by_bars(cv2.fillPoly(grey, [outline], cv2.mean(grey)), layout, factor)
+
+
+def _side(chart_map, layout):
+    """Length of a chart's longer side in the image, pixels."""
+    return np.ptp(chart_map.pixels(layout.corners()), axis=0).max()
 
 
 def _stretched(image):
@@ -752,7 +772,7 @@ def _by_bars(grey, layout, smaller):
         return None
     middle, charts = [[layout.width / 2, layout.height / 2]], []
     for _, chart_map in sorted(found, key=lambda guess: -guess[0]):
-        side = np.ptp(chart_map.pixels(layout.corners()), axis=0).max()
+        side = _side(chart_map, layout)
         apart = [np.ptp([chart_map.pixels(middle), at], axis=0).max() for at, _, _ in charts]
         if not any(distance < side / 2 for distance in apart):
             charts.append((chart_map.pixels(middle), side, chart_map))
