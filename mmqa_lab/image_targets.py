@@ -6,6 +6,7 @@ band. The measures themselves are in :mod:`mmqa_lab.mtf` and :mod:`mmqa_lab.radi
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -114,36 +115,34 @@ def _region(band, target):
     return band[row : row + height, column : column + width]
 
 
-def _edges(band, targets, _):
-    """MTF50 and full width at half maximum of each edge."""
+def _each(band, targets, _, *, fit):
+    """The figures of each edge or star; one that fails does not cost the others their rows."""
     for target in targets.to_dict("records"):
-        region = _region(band, target)
+        part = _region(band, target) if fit is _edge else band
         try:
-            edge = mtf.fit_edge(region)
-        except ValueError as error:  # a target that fails does not cost the others their rows
-            yield {"target": target["name"], "remark": str(error)}
-            continue
-        share = 1.96 * edge.mtf50_sigma / edge.mtf50
-        figures = _interval("mtf50", "_per_px", edge.mtf50, share * edge.mtf50)
-        figures |= _interval("fwhm", "_px", edge.fwhm_px, share * edge.fwhm_px)
-        figures |= {"angle_deg": edge.angle_deg, "n": edge.n, "remark": edge.remark}
+            figures = fit(part, target)
+        except ValueError as error:
+            figures = {"remark": str(error)}
         yield {"target": target["name"]} | figures
 
 
-def _stars(band, targets, _):
-    """MTF50 and MTF10 of each star."""
-    for target in targets.to_dict("records"):
-        known = {"cycles": int(target["cycles"]), "radius_px": target["radius_px"]}
-        try:
-            star = mtf.measure_star(band, (target["x_px"], target["y_px"]), **known)
-        except ValueError as error:
-            yield {"target": target["name"], "remark": str(error)}
-            continue
-        figures = _interval("mtf50", "_per_px", star.mtf50, 1.96 * star.mtf50_sigma)
-        figures["mtf10_per_px"] = star.at(0.1)
-        remarks = [star.remark] * bool(star.remark)
-        remarks += ["the star does not show the frequency of MTF50"] * bool(np.isnan(star.mtf50))
-        yield {"target": target["name"]} | figures | {"remark": "; ".join(remarks)}
+def _edge(region, _):
+    """MTF50 and full width at half maximum of an edge."""
+    edge = mtf.fit_edge(region)
+    share = 1.96 * edge.mtf50_sigma / edge.mtf50
+    figures = _interval("mtf50", "_per_px", edge.mtf50, share * edge.mtf50)
+    figures |= _interval("fwhm", "_px", edge.fwhm_px, share * edge.fwhm_px)
+    return figures | {"angle_deg": edge.angle_deg, "n": edge.n, "remark": edge.remark}
+
+
+def _star(band, target):
+    """MTF50 and MTF10 of a star."""
+    known = {"cycles": int(target["cycles"]), "radius_px": target["radius_px"]}
+    star = mtf.measure_star(band, (target["x_px"], target["y_px"]), **known)
+    figures = _interval("mtf50", "_per_px", star.mtf50, 1.96 * star.mtf50_sigma)
+    remarks = [star.remark] * bool(star.remark)
+    remarks += ["the star does not show the frequency of MTF50"] * bool(np.isnan(star.mtf50))
+    return figures | {"mtf10_per_px": star.at(0.1), "remark": "; ".join(remarks)}
 
 
 def _sharpness(band, *_):
@@ -172,17 +171,13 @@ def _patches(band, targets, name, number):
 
 
 def _uneven(region):
-    """Whether halves of a region differ, as where it lies half beside its target."""
+    """Whether quarters of a region differ, as where it lies half beside its target."""
     noise = np.median(np.abs(np.diff(region.astype(float)))) / 0.954  # of two pixels, normal
+    share, errors = UNEVEN_LIGHT
     for part in (region, region.T):
-        cuts = np.linspace(0, len(part), 5).round().astype(int)
-        ends = [
-            part[cuts[k] : cuts[k + 1]].astype(float) for k in range(4) if cuts[k] < cuts[k + 1]
-        ]
-        means = [end.mean() for end in ends]
-        share, errors = UNEVEN_LIGHT
-        error = max(noise, 0.3) / np.sqrt(ends[0].size)
-        if np.ptp(means) > max(share * abs(np.mean(means)), errors * error):
+        means = np.array([end.mean() for end in np.array_split(part, min(4, len(part)))])
+        error = max(noise, 0.3) / np.sqrt(part.size / len(means))
+        if np.ptp(means) > max(share * abs(means.mean()), errors * error):
             return True
     return False
 
@@ -252,8 +247,8 @@ def _interval(name, unit, value, reach):
 
 
 OF_TARGETS = {
-    "edge": (REGION, _edges),
-    "star": (("x_px", "y_px", "radius_px", "cycles"), _stars),
+    "edge": (REGION, partial(_each, fit=_edge)),
+    "star": (("x_px", "y_px", "radius_px", "cycles"), partial(_each, fit=_star)),
     "sharpness": ((), _sharpness),
     "calibrate": (REGION, _calibrated),
     "reflect": (REGION, _reflectances),

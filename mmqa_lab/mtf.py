@@ -27,7 +27,7 @@ from scipy.optimize import least_squares, minimize_scalar
 from scipy.special import expit, j1, ndtr
 
 from mmqa_lab._checks import check_choice, check_count, check_image, check_number, check_positive
-from mmqa_lab._results import Shown, about
+from mmqa_lab._results import Shown, about, sentences
 from mmqa_lab.chart_image.placing import ChartMap
 from mmqa_lab.chart_image.reading import Tones, read_pattern, resolution
 from mmqa_lab.charts import LinePairs
@@ -222,7 +222,7 @@ def fit_edge(image: ArrayLike, *, method: str = "binned") -> EdgeResponse:
         angle_deg=float(abs(np.degrees(angle))),
         n=len(fit.values),
         frequencies=FREQUENCIES,
-        remark="; ".join(text for true, text in doubts if true),
+        remark="; ".join(sentences(*doubts)),
         **seen,
     )
 
@@ -232,44 +232,39 @@ class _Sigmoid:
 
     def __init__(self, distance, along, values, angle, shape):
         self.angle, self.shape, self.rows = angle, shape, np.arange(len(values))
-        start = np.array([0.0, 0.0, 0.0])
+        known, limits = np.zeros(3), np.log(SIGMOID_PX)
+        ends = [-5, -5, limits[0]], [5, 5, limits[1]]
         for reach in (60.0, None):
             near = np.abs(distance) <= (reach or 24 * np.hypot(self.width, 0.3) + 6)
             distance, along, values = distance[near], along[near], values[near]
             self.rows = self.rows[near]
-
-            def residuals(known, distance=distance, along=along, values=values):
-                return values - self._levels(known, distance, along, values)
-
             scale = max(float(np.ptp(values)), 1e-12) / 10
-            low, high = np.log(SIGMOID_PX)
-            ends = [-5, -5, low], [5, 5, high]
             how = {"bounds": ends, "loss": "soft_l1", "f_scale": scale, "x_scale": [1, 1, 0.3]}
-            found = least_squares(residuals, start, **how)
-            start, self.width = found.x, float(np.exp(found.x[2]))
-        self.distance, self.values = distance - np.polyval(start[:2], along), values
-        step = self._step(self.distance, self.width)
-        levels = np.linalg.lstsq(step, values, rcond=None)[0]
-        self.contrast, self.residuals = float(levels[1]), values - step @ levels
-        self.noise = float(np.sqrt(_bins(self.distance, self.residuals)[2]))
+            found = least_squares(self._left, known, args=(distance, along, values), **how)
+            known, self.width = found.x, float(np.exp(found.x[2]))
+        self.distance, self.values = distance - np.polyval(known[:2], along), values
+        self.contrast, self.residuals = self._fitted(self.distance, self.width, values)
+        self.places, self.means, self.count, _ = _profile(self.distance, values)
+        self.noise = float(np.sqrt(_profile(self.distance, self.residuals)[3]))
         covariance = np.linalg.pinv(found.jac.T @ found.jac) * np.mean(self.residuals**2)
         self.log_width_sigma = float(np.sqrt(covariance[2, 2]))
 
-    def _step(self, distance, width):
-        """Design of a level and a step."""
-        shape = self.shape(distance, width, self.angle)
-        return np.column_stack([np.ones_like(shape), shape])
+    def _left(self, known, distance, along, values):
+        """What a sigmoid about a line leaves of the grey values."""
+        distance = distance - np.polyval(known[:2], along)
+        return self._fitted(distance, np.exp(known[2]), values)[1]
 
-    def _levels(self, known, distance, along, values):
-        """The grey values of a sigmoid, its levels by least squares."""
-        step = self._step(distance - np.polyval(known[:2], along), np.exp(known[2]))
-        return step @ np.linalg.lstsq(step, values, rcond=None)[0]
+    def _fitted(self, distance, width, values):
+        """The step of a sigmoid, its two levels by least squares, and what it leaves."""
+        shape = self.shape(distance, width, self.angle)
+        design = np.column_stack([np.ones_like(shape), shape])
+        levels = np.linalg.lstsq(design, values, rcond=None)[0]
+        return float(levels[1]), values - design @ levels
 
     def strange(self):
         """Largest share of the step by which the binned profile leaves the sigmoid."""
-        count, means, variance = _bins(self.distance, self.residuals)
-        noise = np.sqrt(variance / np.maximum(count, 1))
-        return float((np.abs(means) - 4 * noise)[count > 0].max() / self.contrast)
+        _, means, count, _ = _profile(self.distance, self.residuals)
+        return float((np.abs(means) - 4 * self.noise / np.sqrt(count)).max() / self.contrast)
 
     @property
     def spread(self):
@@ -304,8 +299,7 @@ class _Sigmoid:
 
         What noise gives, and four standard deviations of that, is taken off.
         """
-        places, means, _ = _profile(self.distance, self.values)
-        left = self.values - np.interp(self.distance, places, means)
+        left = self.values - np.interp(self.distance, self.places, self.means)
         noise = np.var(left[np.abs(self.distance) > 4 * self.spread + 2])
         slope = np.exp(-((self.distance / self.spread) ** 2) / 2)
         slope *= self.contrast / (np.sqrt(2 * np.pi) * self.spread)
@@ -324,14 +318,14 @@ class _Sigmoid:
         The side's level, slope and the long tail of a lens, which falls with the inverse of the
         distance, are estimated with it.
         """
-        places, means, count = _profile(self.distance, self.values)
-        beside = places * side > 3 * self.spread + 2
-        far, weight = places[beside] * side, np.sqrt(count[beside]) / max(self.noise, 1e-9)
+        beside = self.places * side > 3 * self.spread + 2
+        far = self.places[beside] * side
+        weight = np.sqrt(self.count[beside]) / max(self.noise, 1e-9)
         if len(far) < 4 * BINS_PER_PIXEL:
             return 0.0
         plain = np.column_stack([np.ones_like(far), 1 / far, far]) * weight[:, None]
         beyond = (far[:, None] > np.arange(far.min() + 2, far.max() - 2, 0.5)) * weight[:, None]
-        basis, seen = np.linalg.qr(plain)[0], weight * means[beside]
+        basis, seen = np.linalg.qr(plain)[0], weight * self.means[beside]
         beyond = beyond - basis @ (basis.T @ beyond)
         square = np.square(beyond).sum(axis=0)
         steps = np.abs(beyond.T @ seen) / square  # of least squares, beside the plain side
@@ -343,35 +337,33 @@ class _Sigmoid:
         levels = np.unique(side * self.values)[-2:]
         if len(levels) < 2 or np.mean(beside == levels[1]) < 0.1:
             return False
-        if beside.std() > max(
-            np.diff(levels)[0], CUT / 2 * self.contrast
-        ):  # noise on one side of a wall
-            return True
-        return self.one_sided() > CUT
+        # noise on one side of a wall
+        return beside.std() > max(np.diff(levels)[0], CUT / 2 * self.contrast) or (
+            self.one_sided() > CUT
+        )
 
     def one_sided(self):
         """By how much both halves of the profile differ, over the step, less what noise gives."""
-        places, share, noise = self.shares()
+        share, noise = self.shares()
         reach = np.linspace(0, 4 * self.spread + 1, 60)
         middle = np.linspace(-0.6, 0.6, 61)[:, None] * self.spread
-        curve = PchipInterpolator(places, share)
+        curve = PchipInterpolator(self.places, share)
         halves = curve(middle + reach) + curve(middle - reach) - 1
         least = np.sqrt(np.square(halves).mean(axis=1)).min()
         return float(np.sqrt(max(least**2 - (1.3 * noise) ** 2, 0)))
 
     def overshoot(self):
         """By how much the profile passes both levels, over the step, less what noise gives."""
-        _, share, noise = self.shares()
+        share, noise = self.shares()
         smooth = np.convolve(share, np.full(BINS_PER_PIXEL, 1 / BINS_PER_PIXEL), "valid")
         return min(smooth.max() - 1, -smooth.min()) - 4 * noise / BINS_PER_PIXEL**0.5
 
     def shares(self):
         """Profile between the levels of both sides as 0 and 1, and the noise of a place."""
-        places, means, count = _profile(self.distance, self.values)
         far = 4 * self.spread + 1
         low, high = (np.median(self.values[way * self.distance > far]) for way in (-1, 1))
-        noise = self.noise / (self.contrast * np.sqrt(np.median(count)))
-        return places, (means - low) / (high - low), noise
+        noise = self.noise / (self.contrast * np.sqrt(np.median(self.count)))
+        return (self.means - low) / (high - low), noise
 
 
 def _logistic(distance, width, _):
@@ -407,11 +399,10 @@ def _by_bins(fit):
 
 def _sigma_of_bins(fit, mtf, mtf50):
     """Standard deviation of MTF50 that the noise of the profile gives."""
-    places, share, _ = fit.shares()
-    count = _profile(fit.distance, fit.values)[2]
+    places, count = fit.places, fit.count
     beside = np.abs(places) > 4 * fit.spread + 2
     # of the plain sides: neighbouring pixels of a photograph share a part of their noise
-    noise = ((share - (places > 0))[beside] * np.sqrt(count[beside])).std()
+    noise = ((fit.shares()[0] - (places > 0))[beside] * np.sqrt(count[beside])).std()
     terms = np.exp(-2j * np.pi * mtf50 * places) * _window(places)
     weight = np.abs(np.gradient(terms)) / np.sqrt(2)
     near = np.abs(FREQUENCIES - mtf50) < max(0.02, mtf50 / 6)
@@ -433,26 +424,23 @@ def _of_bins(frequency):
     return np.sinc(2 * steps) * np.sinc(steps)
 
 
-def _bins(distance, values):
-    """Counts and means in bins of a quarter pixel, and the variance within them."""
+def _profile(distance, values):
+    """Places, means and counts of the bins that have pixels, and the variance within bins.
+
+    Pixels do not fill a bin evenly.
+    """
     place = np.round(distance * BINS_PER_PIXEL).astype(int)
     place -= place.min()
     count = np.bincount(place)
-    means = np.bincount(place, weights=values) / np.maximum(count, 1)
-    free = max((np.maximum(count, 1) - 1).sum(), 1)
-    return count, means, float(((values - means[place]) ** 2).sum() / free)
-
-
-def _profile(distance, values):
-    """Places, means and counts of the bins that have pixels; pixels do not fill a bin evenly."""
-    count, means, _ = _bins(distance, values)
-    centres = _bins(distance, distance)[1]
-    return centres[count > 0], means[count > 0], count[count > 0]
+    full = np.flatnonzero(count)
+    sums = [np.bincount(place, part) / np.maximum(count, 1) for part in (distance, values)]
+    variance = np.square(values - sums[1][place]).sum() / max(len(values) - len(full), 1)
+    return sums[0][full], sums[1][full], count[full], float(variance)
 
 
 def _binned(distance, values):
     """Transfer, NaN where bins at the edge are empty; places and derivative of the profile."""
-    centres, means, _ = _profile(distance, values)
+    centres, means, *_ = _profile(distance, values)
     ends = np.round(np.array([distance.min(), distance.max()]) * BINS_PER_PIXEL)
     places = np.arange(ends[0], ends[1] + 1) / BINS_PER_PIXEL
     empty = 1 - len(centres) / len(places)
@@ -625,9 +613,8 @@ class StarMtf(Shown):
             return crossing(self.frequency, self.mtf, share), np.nan
         f2, contrast = self.frequency[near] ** 2, self.mtf[near]
         relative = np.maximum(self.std[near] / contrast, 1e-9)
-        line, covariance = np.polyfit(
-            f2, np.log(contrast / share), 1, w=1 / relative, cov="unscaled"
-        )
+        weight = {"w": 1 / relative, "cov": "unscaled"}
+        line, covariance = np.polyfit(f2, np.log(contrast / share), 1, **weight)
         place = -line[1] / line[0]
         if not place > 0:
             return crossing(self.frequency, self.mtf, share), np.nan
@@ -751,7 +738,7 @@ def measure_star(
         radius_px=rings,
         centre=(float(place[0]), float(place[1])),
         tilt_deg=_tilt(place),
-        remark="; ".join(text for true, text in doubts if true),
+        remark="; ".join(sentences(*doubts)),
     )
 
 
@@ -964,10 +951,8 @@ def _plain_levels(pixels, place, n, radius, clear=0.0):
 def _clipped_side(black, white):
     """Which side's pixels share one value though the other side's have noise; empty if neither."""
     least = CUT / 10 * (white.mean() - black.mean())
-    for name, side, end, other in (
-        ("black", black, np.min, white),
-        ("white", white, np.max, black),
-    ):
+    both = ("black", black, np.min, white), ("white", white, np.max, black)
+    for name, side, end, other in both:
         piled = np.mean(side == end(side)) > 0.1
         if piled and (side.std() > 5 * least or other.std() > max(4 * side.std(), least)):
             return name
@@ -978,11 +963,7 @@ def _outer_parts(pixels, place, n, radius):
     """The wave of n cycles near the outline in parts of the circle, as complex numbers."""
     r, azimuth = _polar(pixels, place)
     outer = (r > 0.6 * radius) & (r < 0.9 * radius)
-    part = (
-        (azimuth[outer] % (2 * np.pi) / (2 * np.pi) * STAR_PARTS)
-        .astype(int)
-        .clip(0, STAR_PARTS - 1)
-    )
+    part = np.floor(azimuth[outer] * STAR_PARTS / (2 * np.pi)).astype(int) % STAR_PARTS
     count, values = np.bincount(part, minlength=STAR_PARTS), pixels[2][outer]
     mean = np.bincount(part, values, STAR_PARTS) / np.maximum(count, 1)
     wave = (values - mean[part]) * np.exp(-1j * n * azimuth[outer])
