@@ -11,11 +11,13 @@ import copy
 import inspect
 import itertools
 import numbers
+import sys
 import traceback
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, as_completed
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +27,7 @@ import pandas as pd
 import xarray as xr
 from matplotlib.figure import Figure
 from scipy import stats
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 from tqdm import tqdm
 
 from mmqa_lab import plots
@@ -209,7 +211,7 @@ class Comparison:
 def _measured(study, number, seed):
     """The records of one case by method; the record of the truth has an empty name."""
     case = study.cases[number]
-    with threadpool_limits(limits=1):
+    with _libraries(len(sys.modules)).limit(limits=1):
         try:
             made = study.make(**case, seed=seed)
         except study.costs_cells as error:
@@ -220,6 +222,12 @@ def _measured(study, number, seed):
         for name, method in study.methods.items():
             records[name] = _record(study, method, data, truth, {*RESERVED, *case})
         return records
+
+
+@lru_cache(maxsize=1)
+def _libraries(modules):  # noqa: ARG001
+    """The libraries with threads, found again only where modules were imported since."""
+    return ThreadpoolController()
 
 
 def _record(study, method, data, truth, reserved):

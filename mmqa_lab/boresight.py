@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -513,17 +514,22 @@ class _Adjustment:
                 misfit = kind.rows(values)[0]
                 kind.scatter = max(sigma_mad(misfit), 1e-6)
                 kind.keep(np.abs(misfit) <= 3.5 * kind.scatter)  # the rule for outliers
-            found = least_squares(
-                lambda p: self.system(self.values(p))[0],
-                parameters,
-                lambda p: self.system(self.values(p))[1],
-                x_scale="jac",
-                xtol=1e-5,
-                ftol=1e-6,
-                max_nfev=20,
-            )
-            parameters, values = found.x, self.values(found.x)
+            parameters = self._fitted(parameters)
+            values = self.values(parameters)
         return values
+
+    def _fitted(self, parameters):
+        """Parameters of the least misfits; a place is asked for misfits, then for slopes."""
+        at = lru_cache(1)(lambda p: self.system(self.values(np.array(p))))
+        return least_squares(
+            lambda p: at(tuple(p))[0],
+            parameters,
+            lambda p: at(tuple(p))[1],
+            x_scale="jac",
+            xtol=1e-5,
+            ftol=1e-6,
+            max_nfev=20,
+        ).x
 
     def values(self, parameters):
         """Array (heads, 6), 0 for kept parameters."""

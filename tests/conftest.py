@@ -7,6 +7,8 @@ os.environ["PYTHONDONTWRITEBYTECODE"] = ""
 os.environ.setdefault("MPLBACKEND", "agg")
 os.environ.setdefault("MMQA_HEADLESS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads would wait for each other
+if workers := int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", 0)):  # each has its share of cores
+    os.environ.setdefault("NUMBA_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // workers)))
 
 import ast
 import contextlib

@@ -2,15 +2,20 @@
 
 from dataclasses import replace
 from functools import cache
+from importlib import import_module
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mmqa_lab import io, simulate
 from mmqa_lab.simulate import Scanner, Scene, Trajectory
 from mmqa_lab.simulate.scan import _strongest
 from mmqa_lab.simulate.scenes import Hits
+
+module = import_module("mmqa_lab.simulate.scan")  # the package offers its function by this name
 
 SPEED = 10.0
 PROFILER = Scanner(pulse_rate_hz=300_000, mirror_frequency_hz=100)
@@ -238,3 +243,31 @@ def test_the_strongest_echo_is_that_of_a_loop_over_the_rays(rng):
         assert found["surface"][row] == surface[row, top]
         assert found["mixed"][row] == (len(set(surface[row, best])) > 1)
     assert not found["signal"][~met.any(axis=1)].any()
+
+
+@given(
+    turned=st.tuples(*[st.floats(-90, 90)] * 2),
+    place=st.tuples(st.floats(-8, 8), st.floats(-1, 4), st.floats(-4, 4)),
+    roll=st.floats(-10, 10),
+    wide=st.sampled_from([0.0, 20.0]),
+    stack=st.booleans(),
+)
+@settings(max_examples=25, deadline=None)
+def test_beams_that_are_not_cast_would_meet_nothing(turned, place, roll, wide, stack):
+    base = simulate.PRESETS["hdl-32e"] if stack else PROFILER
+    mounted = {"heading_deg": turned[0], "tilt_deg": turned[1], "pulse_rate_hz": 60_000}
+    scanner = replace(base, divergence_mrad=wide, boresight_deg=(1, -2, 3), **mounted)
+    scanner = replace(scanner, lever_arm_m=(0.3, -1, 0.5))
+    corners = np.add(place, np.stack(np.meshgrid(*[np.arange(-2, 3, 2)] * 3), -1).reshape(-1, 3))
+    small = [simulate.rectangle(corner, (0.1, 0.1, 0), (0, 0, 0.15)) for corner in corners]
+    objects = Scene([*small, simulate.cylinder(place, np.add(place, (0, 0, 3)), 0.05)])
+    time, way = np.linspace(0, 0.3, 31), np.radians(np.linspace(0, 40, 31))  # a sharp bend
+    position = UTM + 4 * np.stack([1 - np.cos(way), np.sin(way), 0 * way], axis=1)
+    path = Trajectory(time, position, roll=roll + 0 * way, heading=np.degrees(way))
+    objects.origin = objects.origin + UTM
+    asked = scan(objects, scanner, path)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "FEW_SURFACES", 0)
+        every = scan(objects, scanner, path)
+    assert np.array_equal(asked.points, every.points)
+    assert all(np.array_equal(asked[name], every[name]) for name in every.columns)

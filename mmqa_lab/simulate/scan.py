@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from numba import njit
 
 from mmqa_lab._checks import check_number, check_points, check_positive
 from mmqa_lab.cloud import Cloud
@@ -24,6 +25,10 @@ __all__ = ["RING", "Scanner", "scan"]
 
 RING = 0.651
 """Radius of the ring over the 1/e2 radius: median of the outer 6/7 of a Gaussian beam."""
+
+FEW_SURFACES, NODE_S, SLACK_M = 64, 0.01, 0.05
+"""Scenes with at most so many primitives are first asked which beams may meet them: from places of
+the scanner so many seconds apart, with so many metres of slack for its way in between."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -254,6 +259,11 @@ def _shoot(scene, scanner, trajectory, known, pulse, rng):
     angle = np.radians(fired["scan_angle"])
     elevation = np.radians(np.sort(scanner.elevations_deg))[fired["ring"]]
     beams = scanner.beams(angle + np.radians(scanner.angle_noise_deg) * jitter, elevation)
+    near = _may_meet(scene, scanner, trajectory, since, beams)
+    fired = {name: values[near] for name, values in fired.items()}
+    beams, noise, fading, turn, lost, since, angle, elevation = (
+        values[near] for values in (beams, noise, fading, turn, lost, since, angle, elevation)
+    )
     origin, direction = _rays(trajectory, since, scanner, scanner.true_mounting, beams)
     start = origin + (trajectory.origin - scene.origin)
     echo = _strongest(scene.cast_beams(*_footprint(scanner, start, direction, turn)))
@@ -276,6 +286,42 @@ def _shoot(scene, scanner, trajectory, known, pulse, rng):
     origin, direction = _rays(known, since, scanner, scanner.mounting, beams)
     ranges = columns["range_m"] + columns["range_noise_m"]
     return Cloud(known.origin + (origin + ranges[:, None] * direction), columns, scanner.name)
+
+
+def _may_meet(scene, scanner, trajectory, since, beams):
+    """Which beams may meet a scene of few surfaces: those that pass near the balls around them.
+
+    The balls are seen from the scanner every ``NODE_S`` seconds, and in between on straight lines.
+    """
+    if len(scene.balls) > FEW_SURFACES or not len(since):
+        return np.ones(len(since), dtype=bool)
+    nodes = np.linspace(since[0], since[-1], int(np.ptp(since) / NODE_S) + 2)
+    states = trajectory.states(nodes)
+    balls = scene.balls[:, :3] - (trajectory.origin - scene.origin) - states[:, None, :3]
+    balls = (balls @ rotations(*states[:, 3:].T) - scanner.lever_arm_m) @ scanner.true_mounting
+    place = (since - since[0]) / max(nodes[1] - nodes[0], 1e-9)
+    reach = scene.balls[:, 3] + SLACK_M + scanner.exit_diameter_m
+    return _pass_near(place, beams, balls, reach, scanner.divergence_mrad / 1000)
+
+
+@njit(cache=True, nogil=True)
+def _pass_near(place, beams, balls, reach, growth):
+    """Whether each beam passes within reach of a ball, (nodes, n, 3); it widens by ``growth``."""
+    near = np.zeros(len(beams), np.bool_)
+    for n in range(len(beams)):
+        node = min(int(place[n]), len(balls) - 2)
+        for k in range(len(reach)):
+            along, square = 0.0, 0.0
+            for j in range(3):
+                start, end = balls[node, k, j], balls[node + 1, k, j]
+                offset = start + (place[n] - node) * (end - start)
+                along += offset * beams[n, j]
+                square += offset * offset
+            limit = reach[k] + growth * np.sqrt(square)
+            if along > -limit and square - along * along <= limit * limit:
+                near[n] = True
+                break
+    return near
 
 
 def _rays(path, since, scanner, mounting, beams):

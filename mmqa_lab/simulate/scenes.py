@@ -62,6 +62,8 @@ class Scene:
     origin : array, shape (3,)
         The coordinates' mean, taken off before anything is multiplied.
     tree : Tree
+    balls : array, shape (n, 4)
+        Centre of each primitive, from the origin, and radius of the ball around it.
 
     Raises
     ------
@@ -86,6 +88,7 @@ class Scene:
         centre = whole.centre - self.origin
         order, *nodes = _hierarchy(centre - whole.half, centre + whole.half, centre)
         self.tree = Tree(*nodes, whole.kind[order], centre[order], whole.shape[order])
+        self.balls = np.column_stack([centre, np.linalg.norm(whole.half, axis=1)])
         ids = np.repeat(np.arange(len(self.surfaces), dtype=np.int32), [*map(len, self.surfaces)])
         # the last entry, -1, is of rays that meet nothing
         self._surface = np.append(ids[order], np.int32(-1))

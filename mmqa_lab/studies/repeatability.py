@@ -17,7 +17,7 @@ from mmqa_lab.studies.anisotropy import boards
 
 __all__ = [
     "FIGURES", "KEYS", "METHODS", "SENSORS", "UPRIGHT", "Surface", "bench", "chart_scan",
-    "limits", "make", "operators", "ranges_of_five", "real_surfaces", "selected",
+    "figures", "limits", "make", "operators", "ranges_of_five", "real_surfaces", "selected",
 ]  # fmt: skip
 
 UPRIGHT = replace(systems.SYSTEM_B, range_noise_m=0.01)
@@ -86,7 +86,11 @@ def selected(surface, seed, *, click_m=0.015, vertices=4, axes="principal"):
     """
     choices = {"repeats": 1, "click": click_m, "seed": seed, "vertices": vertices}
     polygon = operator_polygons(surface.corners, **choices)[0]
-    quality = evaluate_cloud(surface.points, polygon=polygon, axes=axes)
+    return figures(evaluate_cloud(surface.points, polygon=polygon, axes=axes))
+
+
+def figures(quality):
+    """Return the figures of a CloudQuality by the keys of ``FIGURES``."""
     known = {f"d{k}_mm": distance for k, distance in enumerate(quality.d_mm, 1)}
     return {name: known[name] if name in known else getattr(quality, name) for name in FIGURES}
 
