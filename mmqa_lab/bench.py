@@ -199,7 +199,8 @@ class Comparison:
         study = replace(self, cases=cases)
         jobs = list(itertools.product(range(len(cases)), seeds))
         records, found = dict.fromkeys(jobs), _computed(study, jobs, executor)
-        for job, record in tqdm(found, total=len(jobs), unit="case", leave=False, disable=None):
+        bar = {"leave": False, "disable": None, "ncols": 80, "nrows": 24}
+        for job, record in tqdm(found, total=len(jobs), unit="case", **bar):
             records[job] = record
         results = _dataset(cases, list(self.methods), seeds, records)
         for method, part in failures(results).groupby("method", sort=False):

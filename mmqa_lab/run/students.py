@@ -234,10 +234,10 @@ def write_solutions(studies, folder, *, quick=False):
     -------
     list of Path
     """
-    bar = {"total": len(studies), "unit": "study", "leave": False, "disable": None}
+    bar = {"unit": "study", "leave": False, "disable": None, "ncols": 80, "nrows": 24}
     with ThreadPoolExecutor(os.cpu_count()) as pool:  # each notebook is a process
         found = pool.map(lambda study: answer_table(study, quick=quick), studies)
-        tables = list(tqdm(found, **bar))
+        tables = list(tqdm(found, total=len(studies), **bar))
     written = []
     for study, answers in zip(studies, tables, strict=True):
         notebook = nbformat.read(study.path, as_version=4)
