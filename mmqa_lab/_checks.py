@@ -8,23 +8,10 @@ from pathlib import Path
 import numpy as np
 
 __all__ = [
-    "check_choice",
-    "check_columns",
-    "check_count",
-    "check_file",
-    "check_image",
-    "check_kind",
-    "check_number",
-    "check_outputs",
-    "check_plan",
-    "check_points",
-    "check_polygon",
-    "check_positive",
-    "check_same_crs",
-    "check_upright",
-    "check_values",
-    "listed",
-]
+    "check_choice", "check_columns", "check_count", "check_file", "check_image", "check_kind",
+    "check_known", "check_number", "check_outputs", "check_plan", "check_points", "check_polygon",
+    "check_positive", "check_same_crs", "check_upright", "check_values", "listed", "refuse",
+]  # fmt: skip
 
 # How files of a kind begin. Of text only that it has no zero byte is known.
 BEGINNINGS = {
@@ -44,6 +31,19 @@ FARTHEST_M = 1e15
 
 # Letters of a list of names within a sentence.
 LETTERS_LISTED = 300
+
+
+def refuse(wrong, what, found, must):
+    """Raise the sentence of something that is wrong: what it is, what was found, what must be.
+
+    Examples
+    --------
+    >>> refuse(True, "cloud a.ply", "no header", "a PLY file")
+    Traceback (most recent call last):
+    ValueError: Invalid cloud a.ply: no header. Must be a PLY file.
+    """
+    if wrong:
+        raise ValueError(f"Invalid {what}: {found}. Must be {must}.")
 
 
 def check_points(points, *, name="points", columns=3, minimum=1):
@@ -104,8 +104,8 @@ def check_polygon(vertices, *, name="polygon"):
     3
     """
     ring = check_points(vertices, name=name)
-    if np.abs(ring).max() > FARTHEST_M:
-        raise ValueError(f"Invalid {name}: {np.abs(ring).max():.3g} in it. Must be in metres.")
+    largest = np.abs(ring).max()
+    refuse(largest > FARTHEST_M, name, f"{largest:.3g} in it", "in metres")
     kept = (ring != np.roll(ring, -1, axis=0)).any(axis=1)
     return check_points(ring[kept], name=name, minimum=3)
 
@@ -198,17 +198,15 @@ def check_outputs(outputs, inputs=()):
     ValueError: Invalid output table.csv: it is an input. Must be another file.
     """
     for number, path in enumerate(map(Path, outputs)):
-        if any(_is_same(path, one) for one in inputs):
-            raise ValueError(f"Invalid output {path}: it is an input. Must be another file.")
-        if any(_is_same(path, one) for one in outputs[:number]):
-            raise ValueError(f"Invalid output {path}: given twice. Must be another file.")
+        what, other = f"output {path}", "another file"
+        refuse(any(_is_same(path, one) for one in inputs), what, "it is an input", other)
+        refuse(any(_is_same(path, one) for one in outputs[:number]), what, "given twice", other)
         if not path.absolute().parent.is_dir():
             raise ValueError(f"Invalid output {path}: no folder {path.parent}. Must exist.")
         if path.suffix.lower() in BEGINNINGS:
             check_kind(path)
-        elif path.is_file():
-            found = "a file of another kind is there"
-            raise ValueError(f"Invalid output {path}: {found}. Must be another name.")
+        else:
+            refuse(path.is_file(), what, "a file of another kind is there", "another name")
 
 
 def check_kind(path):
@@ -228,8 +226,8 @@ def check_kind(path):
     with path.open("rb") as file:
         head = file.read(1024).lstrip(b"\xef\xbb\xbf \n\r")
     zero = b"\0" in head and ending in (".csv", ".html", ".svg")
-    if head and (zero or not head.startswith(BEGINNINGS[ending])):
-        raise ValueError(f"Invalid output {path}: no {ending} file is there. Must be another name.")
+    wrong = head and (zero or not head.startswith(BEGINNINGS[ending]))
+    refuse(wrong, f"output {path}", f"no {ending} file is there", "another name")
 
 
 def _is_same(path, other):

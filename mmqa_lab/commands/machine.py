@@ -20,18 +20,9 @@ from mmqa_lab import __version__
 from mmqa_lab._checks import check_outputs
 
 __all__ = [
-    "FIGURE_ENDINGS",
-    "app",
-    "as_json",
-    "as_text",
-    "check_ending",
-    "heard",
-    "progress",
-    "run",
-    "sentence_of",
-    "table",
-    "write_figure",
-]
+    "FIGURE_ENDINGS", "app", "as_json", "as_text", "check_ending", "heard", "progress", "run",
+    "sentence_of", "table", "write_figure",
+]  # fmt: skip
 
 # Columns of a terminal that tables fit into.
 WIDTH = 100

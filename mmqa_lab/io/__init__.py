@@ -21,24 +21,8 @@ from mmqa_lab.io.tables import (
 )
 
 __all__ = [
-    "CLOUD_ENDINGS",
-    "IMAGE_ENDINGS",
-    "LAS_ENDINGS",
-    "OUTLINE_ENDINGS",
-    "coordinate_columns",
-    "iterate_cloud",
-    "own_folder",
-    "read_bands",
-    "read_camera",
-    "read_cloud",
-    "read_heights",
-    "read_image",
-    "read_polygon",
-    "read_segments",
-    "read_table",
-    "read_trajectory",
-    "with_numbers",
-    "write_atomically",
-    "write_cloud",
-    "write_polygon",
-]
+    "CLOUD_ENDINGS", "IMAGE_ENDINGS", "LAS_ENDINGS", "OUTLINE_ENDINGS", "coordinate_columns",
+    "iterate_cloud", "own_folder", "read_bands", "read_camera", "read_cloud", "read_heights",
+    "read_image", "read_polygon", "read_segments", "read_table", "read_trajectory",
+    "with_numbers", "write_atomically", "write_cloud", "write_polygon",
+]  # fmt: skip

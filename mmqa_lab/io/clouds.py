@@ -21,6 +21,7 @@ from mmqa_lab._checks import (
     check_file,
     check_points,
     listed,
+    refuse,
 )
 from mmqa_lab.cloud import Cloud, extent, unit_remarks
 from mmqa_lab.io.files import reading, write_atomically
@@ -281,16 +282,15 @@ def _las_pieces(path, chunk, columns):
             left = {"hold the least or largest integer, an overflow of their 32 bits": over}
             said = {"lie outside the box that its header states": outside}
             yield Piece(points, attributes, about, header.point_count, left, said)
-    if read < header.point_count:
-        found = f"bytes for {read} points where the header says {header.point_count}"
-        raise ValueError(f"Invalid cloud {path}: {found}. Must be {LAS}.")
+    found = f"bytes for {read} points where the header says {header.point_count}"
+    refuse(read < header.point_count, f"cloud {path}", found, LAS)
 
 
 def _check_header(path, header):
     """Raise where a LAS header contradicts itself or its file."""
-    if not (np.isfinite(header.scales).all() and (header.scales > 0).all()):
-        found = f"scale {', '.join(f'{scale:g}' for scale in header.scales)} in its header"
-        raise ValueError(f"Invalid cloud {path}: {found}. Must be above 0.")
+    scales = ", ".join(f"{scale:g}" for scale in header.scales)
+    usable = np.isfinite(header.scales).all() and (header.scales > 0).all()
+    refuse(not usable, f"cloud {path}", f"scale {scales} in its header", "above 0")
     with Path(path).open("rb") as file:
         (legacy,) = struct.unpack("<107xI", file.read(111))
     if header.are_points_compressed:
@@ -302,9 +302,8 @@ def _check_header(path, header):
         held = (end - header.offset_to_point_data) // header.point_format.size
         held = max(held, header.point_count)  # where it is cut short is said when it is read
     held = max(held, legacy if header.point_count == 0 else 0)
-    if held != header.point_count:
-        found = f"{held or 'another number of'} points where the header says {header.point_count}"
-        raise ValueError(f"Invalid cloud {path}: {found}. Must agree.")
+    found = f"{held or 'another number of'} points where the header says {header.point_count}"
+    refuse(held != header.point_count, f"cloud {path}", found, "as many")
 
 
 def _laz_points(path, header):

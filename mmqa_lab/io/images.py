@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mmqa_lab._checks import check_file, check_same_crs
+from mmqa_lab._checks import check_file, check_same_crs, refuse
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io.clouds import read_cloud
 from mmqa_lab.io.files import HEAD, reading
@@ -72,9 +72,9 @@ def read_image(path: str | os.PathLike) -> np.ndarray:
         grey = cv2.cvtColor(colour, cv2.COLOR_RGB2GRAY) if len(bands) > 2 else bands[0]
     else:
         grey = _decoded(path, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
-    if grey.dtype not in (np.uint8, np.uint16) or min(grey.shape) < 3:
-        found = f"{grey.shape[0]} x {grey.shape[1]} pixels of type {grey.dtype}"
-        raise ValueError(f"Invalid image {path}: {found}. Must be {IMAGES}.")
+    odd = grey.dtype not in (np.uint8, np.uint16) or min(grey.shape) < 3
+    found = f"{grey.shape[0]} x {grey.shape[1]} pixels of type {grey.dtype}"
+    refuse(odd, f"image {path}", found, IMAGES)
     return grey
 
 
@@ -144,14 +144,12 @@ def _decoded(path, flags):
     if not 0.4 < value < 0.5:
         told = "linear in light" if abs(value - 1) < 0.01 else f"of gamma {value:.2g}"
         warnings.warn(f"{path} states that its values are {told}, not sRGB.", stacklevel=3)
-    if not _is_complete(data):
-        raise ValueError(f"Invalid image {path}: cut short. Must be {IMAGES}.")
+    refuse(not _is_complete(data), f"image {path}", "cut short", IMAGES)
     # OpenCV prints what it dislikes of a file; the sentence says it
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     with reading(path, "image", IMAGES):
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)  # any letters in the path
-    if pixels is None:
-        raise ValueError(f"Invalid image {path}: no image that can be decoded. Must be {IMAGES}.")
+    refuse(pixels is None, f"image {path}", "no image that can be decoded", IMAGES)
     return pixels
 
 
@@ -219,9 +217,7 @@ def _raster_cloud(path):
     what = f"reference {path}"
     with _tiff(path, "reference", RASTERS) as file:
         page = file.pages[0]
-        if page.samplesperpixel != 1:
-            found = f"{page.samplesperpixel} bands"
-            raise ValueError(f"Invalid {what}: {found}. Must be {RASTERS}.")
+        refuse(page.samplesperpixel != 1, what, f"{page.samplesperpixel} bands", RASTERS)
         place = _place(page.tags, what)
         keys = {int(one[0]): one[3] for one in _keys(page.tags) if one[1] == 0}
         stored, _ = _page(path, page, RASTERS)
@@ -233,8 +229,8 @@ def _raster_cloud(path):
         with _tiff(f"{path}.msk", "mask", RASTERS) as file:
             masks.append(_page(f"{path}.msk", file.pages[0], RASTERS)[0])
     for mask in masks:
-        if mask.shape[:2] != heights.shape:
-            raise ValueError(f"Invalid {what}: a mask of other size. Must be as large as heights.")
+        other = mask.shape[:2] != heights.shape
+        refuse(other, what, "a mask of other size", "as large as heights")
         heights[mask[..., 0] == 0] = np.nan
     scale, offset = _scale(page.tags.valueof("GDAL_METADATA", default=""), what)
     crs = _raster_system(keys, what)
@@ -259,16 +255,15 @@ def _place(tags, what):
     else:
         tie, size = tags.valueof("ModelTiepointTag"), tags.valueof("ModelPixelScaleTag")
         lacks = "tie point" if tie is None else "size of its cells" if size is None else ""
-        if lacks or len(tie) != 6:
-            found = f"no {lacks}" if lacks else "several tie points"
-            raise ValueError(f"Invalid {what}: {found}. Must be {RASTERS}.")
+        found = f"no {lacks}" if lacks else "several tie points"
+        refuse(lacks or len(tie) != 6, what, found, RASTERS)
         matrix[0, 0], matrix[1, 1] = size[0], -size[1]
         matrix[:2, 3] = tie[3] - tie[0] * size[0], tie[4] + tie[1] * size[1]
     width, depth = matrix[0, 0], -matrix[1, 1]
-    if matrix[0, 1] or matrix[1, 0] or not min(width, depth) > 0:
-        raise ValueError(f"Invalid {what}: turned or mirrored. Must be {RASTERS}.")
-    if max(width, depth) < NARROWEST_CELL_M:
-        raise ValueError(f"Invalid {what}: cells of {width:g}, as of degrees. Must be in metres.")
+    turned = matrix[0, 1] or matrix[1, 0] or not min(width, depth) > 0
+    refuse(turned, what, "turned or mirrored", RASTERS)
+    narrow = max(width, depth) < NARROWEST_CELL_M
+    refuse(narrow, what, f"cells of {width:g}, as of degrees", "in metres")
     return matrix
 
 
@@ -293,8 +288,7 @@ def _scale(text, what):
 def _raster_system(keys, what):
     """The coordinate system of a GeoTIFF; None without keys."""
     number = keys.get(3072, keys.get(2048))
-    if number == USER_DEFINED:
-        found = "a coordinate system without an EPSG number"
-        raise ValueError(f"Invalid {what}: {found}. Must be {RASTERS}.")
+    found = "a coordinate system without an EPSG number"
+    refuse(number == USER_DEFINED, what, found, RASTERS)
     crs = None if number is None else named_system(number, what)
     return system_of_keys(keys, crs, what)

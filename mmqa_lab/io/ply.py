@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from mmqa_lab._checks import refuse
 from mmqa_lab.io.files import reading
 from mmqa_lab.io.tables import NO_NUMBERS
 
@@ -31,12 +32,11 @@ def read_ply(path):
     """Return the points, columns and resolution of a PLY file's vertices."""
     data = Path(path).read_bytes().removeprefix(codecs.BOM_UTF8)
     end = re.search(rb"end_header[ \t]*(\r\n|\n|\r)", data)
-    if not data.startswith(b"ply") or end is None:
-        raise ValueError(f"Invalid cloud {path}: no header. Must be {WANTED}.")
+    headed = data.startswith(b"ply") and end is not None
+    refuse(not headed, f"cloud {path}", "no header", WANTED)
     order, elements = _header(data[: end.start()].decode(errors="replace"), path)
     found = [name for name, _, fields in elements if {"x", "y", "z"} <= {*map(str.lower, fields)}]
-    if not found:
-        raise ValueError(f"Invalid cloud {path}: no element has x, y, z. Must be {WANTED}.")
+    refuse(not found, f"cloud {path}", "no element has x, y, z", WANTED)
     read = _binary if order else _text
     rows = read(data, end.end(), elements, found[0], path, order)
     axes = {name.lower(): name for name in reversed(rows.dtype.names)}
@@ -66,15 +66,14 @@ def _header(text, path):
                 pass
             case _:
                 raise ValueError(f"Invalid cloud {path}: line {line[:60]!r}. Must be {WANTED}.")
-    if order is None:
-        raise ValueError(f"Invalid cloud {path}: no known format. Must be {WANTED}.")
+    refuse(order is None, f"cloud {path}", "no known format", WANTED)
     return order, elements
 
 
 def _row(fields, order, path):
     """The type of a row of fields without lists."""
-    if any(len(types) == 2 for types in fields.values()):
-        raise ValueError(f"Invalid cloud {path}: a list in its vertices. Must be {WANTED}.")
+    lists = any(len(types) == 2 for types in fields.values())
+    refuse(lists, f"cloud {path}", "a list in its vertices", WANTED)
     return np.dtype([(name, order + types[0]) for name, types in fields.items()])
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_columns, check_file, check_polygon, check_same_crs
+from mmqa_lab._checks import check_columns, check_file, check_polygon, check_same_crs, refuse
 from mmqa_lab.io.files import plain_text, reading, write_atomically
 from mmqa_lab.io.systems import named_system
 from mmqa_lab.io.tables import coordinate_columns, text_table, with_numbers
@@ -90,8 +90,8 @@ def _polygon_of_geojson(path, crs):
         rings = rings[0]
     _check_one(rings, "rings, so a hole", what)
     ring = rings[0] if isinstance(rings[0], list) else [rings[0]]
-    if not all(isinstance(vertex, list) and len(vertex) >= 3 for vertex in ring):
-        raise ValueError(f"Invalid {what}: vertices without heights. Must be x, y, z.")
+    high = all(isinstance(vertex, list) and len(vertex) >= 3 for vertex in ring)
+    refuse(not high, what, "vertices without heights", "x, y, z")
     with reading(path, "polygon", "GeoJSON with numbers as vertices"):
         places = np.array([vertex[:3] for vertex in ring], dtype=np.float64)
     vertices = check_polygon(places, name=what)
@@ -102,8 +102,7 @@ def _polygon_of_geojson(path, crs):
 def _check_one(found, of, what):
     """Raise where a list of a GeoJSON file has not one entry."""
     count = len(found) if isinstance(found, list) else 0
-    if count != 1:
-        raise ValueError(f"Invalid {what}: {count} {of}. Must be one polygon of one ring.")
+    refuse(count != 1, what, f"{count} {of}", "one polygon of one ring")
 
 
 def _check_place(node, vertices, what, crs):
@@ -115,8 +114,8 @@ def _check_place(node, vertices, what, crs):
     elif node is not None:
         warnings.warn(f"The coordinate system of {what} is not read: no name.", stacklevel=4)
     plan = vertices[:, :2]
-    if name is None and np.abs(plan).max() <= 180 and np.ptp(plan, axis=0).max() < NARROWEST_M:
-        raise ValueError(f"Invalid {what}: it looks like degrees. Must be projected, in metres.")
+    narrow = np.abs(plan).max() <= 180 and np.ptp(plan, axis=0).max() < NARROWEST_M
+    refuse(name is None and narrow, what, "it looks like degrees", "projected, in metres")
     if np.abs(plan).max() > 1000 and not vertices[:, 2].any():
         warnings.warn(f"All heights of {what} are 0.", stacklevel=4)
 

@@ -11,18 +11,14 @@ from io import BytesIO
 import numpy as np
 import pandas as pd
 
-from mmqa_lab._checks import check_columns, check_file, listed
+from mmqa_lab._checks import check_columns, check_file, listed, refuse
 from mmqa_lab.cloud import unit_remarks
 from mmqa_lab.io.files import plain_text
 
 __all__ = [
-    "coordinate_columns",
-    "read_segments",
-    "read_table",
-    "read_trajectory",
-    "text_table",
+    "coordinate_columns", "read_segments", "read_table", "read_trajectory", "text_table",
     "with_numbers",
-]
+]  # fmt: skip
 
 # Columns of tables that are taken for coordinates, the first that are there.
 PLAN_NAMES = (("x", "y"), ("easting", "northing"), ("east", "north"), ("rechtswert", "hochwert"))
@@ -83,8 +79,7 @@ def text_table(path: str | os.PathLike, name: str, *, header: str = "") -> pd.Da
             break
     if len(lines) > 1 and lines[0][1].isdigit() and not lines[1][1].isdigit():
         del lines[0]  # the count of the points
-    if not lines:
-        raise ValueError(f"Invalid {what}: no rows. Must be rows of columns.")
+    refuse(not lines, what, "no rows", "rows of columns")
     words = [_words(line) for _, line in lines]
     first, separator = lines[0][0], _separator(lines[-1][1])
     names = comment_names = _words(comment.lstrip("/# "))
@@ -99,8 +94,8 @@ def text_table(path: str | os.PathLike, name: str, *, header: str = "") -> pd.Da
     comma = separator != "," and "," in lines[-1][1]
     layout = {"header": None, "comment": "#", "decimal": "," if comma else "."}
     table = _read_csv(stream, what, before=raw.count(b"\n", 0, first), sep=separator, **layout)
-    if separator == "," and _has_split_numbers(words[1:] if names else words, names):
-        raise ValueError(f"Invalid {what}: decimal commas between commas. Must be told apart.")
+    split = separator == "," and _has_split_numbers(words[1:] if names else words, names)
+    refuse(split, what, "decimal commas between commas", "told apart")
     return _with_names(table, names, what)
 
 
@@ -148,9 +143,8 @@ def _with_names(table, names, what):
     count = len(names) if names else len(table.columns)
     if len(table.columns) > count and table.iloc[:, count:].isna().all(axis=None):
         table = table.iloc[:, :count]  # a separator behind each row
-    if len(table.columns) != count:
-        found = f"{count} names over {len(table.columns)} columns"
-        raise ValueError(f"Invalid {what}: {found}. Must agree.")
+    there = len(table.columns)
+    refuse(there != count, what, f"{count} names over {there} columns", "as many")
     if names is None and len(table) > 2 and count > 2:
         numbers = table.iloc[:, :3].apply(pd.to_numeric, errors="coerce")
         words = (numbers.isna() & table.iloc[:, :3].notna()).all()
@@ -161,8 +155,7 @@ def _with_names(table, names, what):
             raise ValueError(f"Invalid {what}: {found}. Must have a header that names them.")
     names = names or [*"xyz", *(f"column_{k}" for k in range(4, count + 1))][:count]
     twice = [name for k, name in enumerate(names) if name in names[:k]]
-    if twice:
-        raise ValueError(f"Invalid {what}: column {twice[0]!r} twice. Must be distinct names.")
+    refuse(twice, what, f"column {[*twice, ''][0]!r} twice", "distinct names")
     return table.set_axis(names, axis=1)
 
 
@@ -309,8 +302,7 @@ def read_trajectory(path: str | os.PathLike) -> pd.DataFrame:
     _check_heading(table, what)
     wrapped = (table["time_s"].diff() < -WEEK_S / 2).any()
     table = table.sort_values("time_s", ignore_index=True)
-    if (table["time_s"].diff() <= 0).any():
-        raise ValueError(f"Invalid {what}: a time repeats. Must be distinct times.")
+    refuse((table["time_s"].diff() <= 0).any(), what, "a time repeats", "distinct times")
     if wrapped and "heading_deg" not in table:
         raise ValueError(f"Invalid {what}: the GPS week ends within it. Must have a heading then.")
     if wrapped:
@@ -328,8 +320,7 @@ def _check_heading(table, what):
         (((taken - course + 180) % 360 - 180).abs()).median()
         for taken in (heading, np.degrees(heading))
     )
-    if in_radians < 15 < 45 < in_degrees:
-        raise ValueError(f"Invalid {what}: headings look like radians. Must be in degrees.")
+    refuse(in_radians < 15 < 45 < in_degrees, what, "headings look like radians", "in degrees")
 
 
 def _name_and_unit(name):
