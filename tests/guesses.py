@@ -2,7 +2,7 @@
 
 import ast
 
-from mmqa_lab.run.students import student_cell
+from mmqa_lab.run.exercises import student_cell
 
 GUESSES = (0, 1, 2, 3, 5, 10, 20, 100, 500, 1000, 0.01, 0.1, 0.5, 0.9, 0.95, True, False, "1", [])
 

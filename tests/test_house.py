@@ -63,6 +63,7 @@ OTHER_TESTS = {
     "poles/learned": "poles",
     "published/ledger": "published",
     "run/api": "run",
+    "run/exercises": "students",
     "run/notebooks": "studies",
     "run/pages": "run",
     "run/store": "stored",

@@ -13,8 +13,9 @@ from IPython.core.inputtransformer2 import TransformerManager
 
 from mmqa_lab.__main__ import main
 from mmqa_lab.run import students
+from mmqa_lab.run.exercises import ASKED, student_cell
 from mmqa_lab.run.pages import TEMPLATES
-from mmqa_lab.run.students import student_cell, write_solutions, write_student_notebooks
+from mmqa_lab.run.students import write_solutions, write_student_notebooks
 from mmqa_lab.studies import STUDIES, chosen
 
 ANSWER = """# 2: twice the side makes four times the area
@@ -96,7 +97,7 @@ def test_copies_hold_no_answer_and_no_lesson(study, tmp_path):
         assert grading["solution"] == (part == "exercise")
         if not checked:  # what is asked for names every answer
             work = cell.source.splitlines()
-            (asked,) = [line for line in work if line.startswith(students.ASKED)]
+            (asked,) = [line for line in work if line.startswith(ASKED)]
             names = {line.split(" = ")[0] for line in work if " = ..." in line}
             assert names <= set(asked.replace(",", " ").replace(";", " ").split())
     assert len({c.metadata["nbgrader"]["grade_id"] for c in graded}) == 2 * len(answers)

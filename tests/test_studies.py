@@ -19,7 +19,7 @@ from mmqa_lab import commands
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import write_cloud
 from mmqa_lab.run import Run, notebooks, pages, parameter_names, read_record, verdict
-from mmqa_lab.run.students import student_cell
+from mmqa_lab.run.exercises import student_cell
 from mmqa_lab.samples import SAMPLES
 from mmqa_lab.studies import STUDIES, TOOLS, Study, chosen, notebooks_folder
 

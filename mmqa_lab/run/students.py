@@ -10,130 +10,32 @@ teacher gets the solutions and a table of answers by number.
 """
 
 import ast
-import base64
-import contextlib
 import json
-import numbers
 import os
 import re
 import tempfile
 import textwrap
-import zlib
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import nbformat
-import numpy as np
 import pandas as pd
 from IPython.core.inputtransformer2 import TransformerManager
 from nbconvert.preprocessors import ClearOutputPreprocessor
 from tqdm.auto import tqdm
 
-from mmqa_lab.bench import split_unit
 from mmqa_lab.io import write_atomically
+from mmqa_lab.run.exercises import NUMBER, answer_parts, check_answer, names_in, student_cell
 from mmqa_lab.run.notebooks import execute, inject
 from mmqa_lab.run.pages import notebook_page
 
 __all__ = [
-    "ASKED", "FEW", "NUMBER", "NotRight", "answer_table", "check_answer", "needed_statements",
-    "student_cell", "work_out", "write_solutions", "write_student_notebooks",
+    "answer_table", "check_answer", "needed_statements", "write_solutions",
+    "write_student_notebooks",
 ]  # fmt: skip
-
-# Begins the line of an answer that states names, types and units. Students see this line.
-ASKED = "# asked for: "
-
-# The line of an answer that separates the work from its test.
-CHECK = "# check"
-
-# Tag of the cell for the student's number in the class, and name of the number.
-NUMBER = "number"
 
 # The notebook's words on the number, replaced in copies, where the student sets it.
 SET_HERE = re.compile(r"the (notebook|next cell) sets it")
-
-# The numbers of a class in the table of answers.
-NUMBERS = range(1, 31)
-
-# Most numbers of an answer in the table of answers.
-FEW = 6
-
-
-def student_cell(source):
-    """Return the student's version of an answer's cell: names without values, and the check.
-
-    Parameters
-    ----------
-    source : str
-        Code of a cell tagged ``solution``; its first line is a comment that begins with the
-        exercise's number. The code below a line ``# check`` is compressed.
-
-    Returns
-    -------
-    str
-
-    Examples
-    --------
-    >>> print(student_cell("# 1: by symmetry\\narea_m2 = 4\\n# check\\nassert area_m2 == 4")[:70])
-    # 1: your work
-    area_m2 = ...  # m²
-    <BLANKLINE>
-    from mmqa_lab.run.students import
-    """
-    number, work, answers, check = _parts(source)
-    kept = [line for line in work.splitlines() if line.startswith((ASKED, "import ", "from "))]
-    blanks = [f"{name} = ...  # {split_unit(name)[1]}".rstrip(" #") for name in answers]
-    needed = [NUMBER, *answers] if NUMBER in _names(check, ast.Load) else answers
-    task = json.dumps([number, needed, "\n".join([*kept, check])]).encode()
-    sealed = textwrap.fill(base64.b64encode(zlib.compress(task, 9)).decode(), 80)
-    call = f'check_answer(\n    """\n{sealed}\n""",\n    globals(),\n)'
-    call = f"from mmqa_lab.run.students import check_answer\n\n{call}"
-    return "\n".join([f"# {number}: your work", *kept, *blanks, "", call])
-
-
-def _parts(source):
-    """The number and the work of an answer, the names that the check reads of it, and the check."""
-    work, _, check = source.partition(f"\n{CHECK}\n")
-    read = set(_names(check, ast.Load)) - set(_names(check, ast.Store))
-    answers = [name for name in dict.fromkeys(_names(work, ast.Store)) if name in read]
-    return source.split(":")[0].lstrip("# "), work, answers, check
-
-
-class NotRight(AssertionError):
-    """The error of an answer; a notebook shows only its sentence."""
-
-    def _render_traceback_(self):
-        return [f"Exercise {self}"]
-
-
-def check_answer(sealed, scope):
-    """Check a student's work, and state in a sentence what is wrong.
-
-    Parameters
-    ----------
-    sealed : str
-        The check, compressed by :func:`student_cell`.
-    scope : dict
-        The notebook's ``globals()``.
-
-    Raises
-    ------
-    NotRight
-        If a name has no value yet, or a check does not hold.
-    """
-    number, answers, check = json.loads(zlib.decompress(base64.b64decode(sealed)))
-    missing = [name for name in answers if scope.get(name, ...) is ...]
-    if missing:
-        raise NotRight(f"{number}: give {missing[0]} a value.")
-    try:
-        exec(check, dict(scope))
-    except AssertionError as error:
-        listed = ", ".join(name for name in answers if name != NUMBER)
-        usual = f"not right yet. Check the formula, and the unit of {listed}."
-        raise NotRight(f"{number}: {str(error) or usual}") from None
-    except Exception as error:  # the work may have any type
-        what = f"the check cannot be worked out with this: {type(error).__name__}: {error}."
-        raise NotRight(f"{number}: {what}") from None
-    print(f"{number}: right.")
 
 
 def _exercise(source):
@@ -143,7 +45,7 @@ def _exercise(source):
         cell = nbformat.v4.new_code_cell(text)
         checks = part == "check"
         cell.metadata["tags"] = ["check", "raises-exception"] if checks else ["exercise"]
-        named = {"grade_id": f"exercise-{_parts(source)[0]}-{part}", "schema_version": 3}
+        named = {"grade_id": f"exercise-{answer_parts(source)[0]}-{part}", "schema_version": 3}
         graded = {"grade": checks, "locked": checks} | ({"points": 1} if checks else {})
         cell.metadata["nbgrader"] = named | graded | {"solution": not checks, "task": False}
         cells.append(cell)
@@ -171,7 +73,7 @@ def _waiting(cell):
     if cell.cell_type != "code" or NUMBER in _tags(cell):
         return cell.source
     code = TransformerManager().transform_cell(cell.source)
-    if NUMBER not in _names(code, ast.Load):
+    if NUMBER not in names_in(code, ast.Load):
         return cell.source
     return f"if {NUMBER} is not ...:\n" + textwrap.indent(cell.source, "    ")
 
@@ -246,7 +148,7 @@ def write_solutions(studies, folder, *, quick=False):
             if cell.cell_type == "markdown":
                 task = [nbformat.v4.new_markdown_cell("## " + cell.source.rpartition("## ")[2])]
             elif "solution" in _tags(cell):
-                shown += [*task, nbformat.v4.new_code_cell(_parts(cell.source)[1])]
+                shown += [*task, nbformat.v4.new_code_cell(answer_parts(cell.source)[1])]
                 task = []
         table = answers.to_html(index=False, na_rep="")
         shown.append(nbformat.v4.new_markdown_cell(f"## Answers by number\n\n{table}"))
@@ -281,13 +183,15 @@ def answer_table(study, *, quick=False):
     notebook = nbformat.read(study.path, as_version=4)
     if quick:
         inject(notebook, study.quick)
-    parts = [_parts(cell.source) for cell in notebook.cells if "solution" in _tags(cell)]
-    parts = [part for part in parts if NUMBER in _names(part[1], ast.Load)]
+    parts = [answer_parts(cell.source) for cell in notebook.cells if "solution" in _tags(cell)]
+    parts = [part for part in parts if NUMBER in names_in(part[1], ast.Load)]
     tasks = {number: (work, answers) for number, work, answers, _ in parts}
     given = [cell for cell in notebook.cells if cell.cell_type == "code"]
     given = [cell.source for cell in given if "solution" not in _tags(cell)]
-    given = needed_statements(given, {name for part in parts for name in _names(part[1], ast.Load)})
-    call = f"from mmqa_lab.run.students import work_out\nprint(work_out({tasks!r}, globals()))"
+    given = needed_statements(
+        given, {name for part in parts for name in names_in(part[1], ast.Load)}
+    )
+    call = f"from mmqa_lab.run.exercises import work_out\nprint(work_out({tasks!r}, globals()))"
     notebook.cells = [nbformat.v4.new_code_cell(text) for text in (*given, call)]
     tail = notebook.cells[-1]
     with tempfile.TemporaryDirectory() as folder:
@@ -350,48 +254,6 @@ def _names_of(node):
     return {part.id for part in names}, done
 
 
-def work_out(tasks, scope):
-    """Return the numeric answers for each number of the class, as JSON.
-
-    Parameters
-    ----------
-    tasks : dict
-        Code and names of the answers by the exercise's number.
-    scope : dict
-        A notebook's ``globals()``.
-
-    Examples
-    --------
-    >>> work_out({"1": ("side = number / 2", ["side"])}, {})[:56]
-    '[{"n": 1, "1: side": "0.5"}, {"n": 2, "1: side": "1"}, {'
-    """
-    rows = {number: {"n": number} for number in NUMBERS}
-    for task, (code, names) in tasks.items():
-        for number, row in rows.items():
-            scope[NUMBER] = number
-            with contextlib.redirect_stdout(None):
-                exec(code, scope)
-            row |= {f"{task}: {name}": _short(scope[name]) for name in names}
-            if not any(row[f"{task}: {name}"] for name in names):
-                break  # the answer is a table or a curve
-    return json.dumps(list(rows.values()))
-
-
-def _short(answer):
-    """A number or a few numbers as text; None for other answers."""
-    values = np.ravel(np.asarray(answer, dtype=object))
-    if len(values) > FEW or not all(isinstance(v, numbers.Real | np.bool_) for v in values):
-        return None
-    return ", ".join(f"{float(value):.4g}" for value in values)
-
-
 def _tags(cell):
     """The tags of a cell."""
     return cell.metadata.get("tags", [])
-
-
-def _names(code, context):
-    """Names that code reads or sets, in the order of the code."""
-    found = [node for node in ast.walk(ast.parse(code)) if isinstance(node, ast.Name)]
-    found = [node for node in found if isinstance(node.ctx, context)]
-    return [node.id for node in sorted(found, key=lambda node: (node.lineno, node.col_offset))]
