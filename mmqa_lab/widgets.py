@@ -40,7 +40,7 @@ from mmqa_lab.planes import fit_plane
 from mmqa_lab.spacing import quadrant_distances
 from mmqa_lab.views import is_headless
 
-__all__ = ["JuryForm", "SelectionTool", "SurfaceTool", "choice", "explore", "slider"]
+__all__ = ["Halt", "JuryForm", "SelectionTool", "SurfaceTool", "choice", "explore", "slider"]
 __dir__ = __all__.copy
 
 MEANINGS = {"a": "a: every letter", "b": "b: the text", "c": "c: not legible"}
@@ -80,6 +80,19 @@ AXES = ("easting", "northing", "height")
 SPOKEN = Path(__file__).with_suffix(".js")
 
 LOCK = threading.RLock()
+
+
+class Halt(ValueError):
+    """A sentence that ends a notebook's run; a notebook shows no traceback with it.
+
+    Examples
+    --------
+    >>> Halt("Invalid cloud bush. Must have a plane.")._render_traceback_()
+    ['Invalid cloud bush. Must have a plane.']
+    """
+
+    def _render_traceback_(self):
+        return [str(self)]
 
 
 @contextlib.contextmanager
@@ -473,7 +486,7 @@ class SurfaceTool(SelectionTool):
 
     Raises
     ------
-    ValueError
+    Halt
         If no cloud has a plane of that size or larger.
 
     Examples
@@ -497,7 +510,8 @@ class SurfaceTool(SelectionTool):
                 rows.append({"cloud": name, "plane": number, **_described(patch, points)})
         listed = [name for name, patches in self._patches.items() if patches]
         if not listed:
-            raise ValueError(f"Invalid cloud {self.missing[0]} Must have a plane.")
+            named = ", ".join(self._points)
+            raise Halt(f"Invalid cloud {named}: no plane of {size:g} m or more. Must have one.")
         self.planes = pd.DataFrame(rows)
         self._scene = Figure(figsize=(5.6, 4.4), dpi=100, layout="constrained")
         self._scene.get_layout_engine().set(rect=(0, 0, 0.93, 1))  # buttons are to the right

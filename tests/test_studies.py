@@ -134,6 +134,39 @@ def repeated(folder):
     return pd.read_csv(folder / "again.csv")["value"].tolist()
 
 
+TOOL_CELLS = ["own-02", "own-03", "own-04", "own-04-read", "own-16", "own-17", "own-06", "own-08"]
+"""From the files to the answers."""
+
+
+def run_tool(files):
+    """Run the tool's cells on other files; return their names."""
+    cells = {cell.id: cell.source for cell in nbformat.read(TOOLS[0].path, as_version=4).cells}
+    scope = {}
+    for name in TOOL_CELLS:
+        exec(re.sub(r"(?m)^%.*", "", cells[name]), scope)
+        if name == TOOL_CELLS[0]:
+            scope["files"] = tuple(files)
+    return scope
+
+
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [
+        ("bush", "Invalid cloud bush: no plane of 0.5 m or more. Must have one."),
+        ("none", "Invalid files .*none.laz. Must be clouds in metres, see the lines above."),
+    ],
+)
+def test_no_cloud_of_use_ends_the_tool_with_a_sentence_alone(
+    name, sentence, tmp_path, rng, monkeypatch
+):
+    monkeypatch.setenv("MMQA_HEADLESS", "1")
+    monkeypatch.setenv("MMQA_RESULTS", str(tmp_path))
+    write_cloud(tmp_path / "bush.laz", Cloud(rng.normal(0, 1, (300, 3))), scale=1e-3)
+    with pytest.raises(ValueError, match=sentence) as caught:
+        run_tool([str(tmp_path / f"{name}.laz")])
+    assert caught.value._render_traceback_() == [str(caught.value)]
+
+
 def test_a_cloud_that_cannot_be_used_is_a_sentence_beside_the_others(
     tmp_path, rng, monkeypatch, capsys
 ):
@@ -149,26 +182,14 @@ def test_a_cloud_that_cannot_be_used_is_a_sentence_beside_the_others(
     files = [tmp_path / f"{name}.laz" for name in ("feet", "turned", "none", "bush", "wall")]
     for name, cloud in clouds.items():
         write_cloud(tmp_path / f"{name}.laz", cloud, scale=1e-7 if name == "turned" else 1e-3)
-    cells = {cell.id: cell.source for cell in nbformat.read(TOOLS[0].path, as_version=4).cells}
-    scope = {}
-    for name in (
-        "own-02",
-        "own-03",
-        "own-04",
-        "own-04-read",
-        "own-16",
-        "own-17",
-        "own-06",
-        "own-08",
-    ):
-        exec(re.sub(r"(?m)^%.*", "", cells[name]), scope)
-        scope["files"] = tuple(map(str, files))
+    scope = run_tool(map(str, [*files, "no_sample"]))
     said = capsys.readouterr().out
     for part in (
         "'feet' in foot",
         "'turned' in degree",
         "none.laz: no such file",
         "bush: no plane",
+        "Invalid sample 'no_sample'",
     ):
         assert said.count(part) == 1
     assert scope["tool"].name == "wall"

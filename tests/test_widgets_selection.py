@@ -243,5 +243,5 @@ def test_a_cloud_without_planes_costs_the_others_nothing(clouds, rng):
 
 
 def test_clouds_without_planes_are_refused(rng):
-    with pytest.raises(ValueError, match="Invalid cloud noise: no plane of 2 m"):
-        widgets.SurfaceTool({"noise": rng.random((9, 3))}, size=2)
+    with pytest.raises(ValueError, match="Invalid cloud noise, dust: no plane of 2 m"):
+        widgets.SurfaceTool({name: rng.random((9, 3)) for name in ("noise", "dust")}, size=2)
