@@ -143,8 +143,9 @@ def _with_names(table, names, what):
     count = len(names) if names else len(table.columns)
     if len(table.columns) > count and table.iloc[:, count:].isna().all(axis=None):
         table = table.iloc[:, :count]  # a separator behind each row
-    there = len(table.columns)
-    refuse(there != count, what, f"{count} names over {there} columns", "as many")
+    if len(table.columns) != count:
+        found = f"{count} names over {len(table.columns)} columns"
+        raise ValueError(f"Invalid {what}: {found}. Must agree.")
     if names is None and len(table) > 2 and count > 2:
         numbers = table.iloc[:, :3].apply(pd.to_numeric, errors="coerce")
         words = (numbers.isna() & table.iloc[:, :3].notna()).all()
