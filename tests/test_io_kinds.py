@@ -752,3 +752,72 @@ def test_letters_that_a_terminal_lacks_and_no_output_at_all(tmp_path):
         )  # fmt: skip
         assert (done.returncode, done.stderr) == (0, "")
         assert text in done.stdout
+
+
+def ply_file(path, order, *elements):
+    """Write a PLY file of elements: name, count, properties, bytes."""
+    head = f"ply\nformat {order} 1.0\n"
+    for name, count, properties, _ in elements:
+        lines = "".join(f"property {one}\n" for one in properties)
+        head += f"element {name} {count}\n{lines}"
+    data = b"".join(content for *_, content in elements)
+    path.write_bytes(f"{head}end_header\n".encode() + data)
+    return path
+
+
+XYZ = ("float x", "float y", "float z")
+
+
+@pytest.mark.parametrize("camera_first", [True, False])
+def test_vertices_are_read_where_other_elements_have_a_place_too(tmp_path, camera_first):
+    camera = ("camera", 1, XYZ, np.zeros(3, "<f4").tobytes())
+    vertex = ("vertex", 120, XYZ, PLANE.astype("<f4").tobytes())
+    elements = [camera, vertex] if camera_first else [vertex, camera]
+    path = ply_file(tmp_path / "c.ply", "binary_little_endian", *elements)
+    np.testing.assert_allclose(io.read_cloud(path).points, PLANE, atol=1e-6)
+
+
+@pytest.mark.parametrize("order", ["binary_little_endian", "ascii"])
+@pytest.mark.parametrize("names", ["xxyz", "xyxz", "xyzz"])
+def test_a_property_that_is_there_twice_is_refused(tmp_path, order, names):
+    rows = np.ones((9, 4), "<f4")
+    data = rows.tobytes() if order != "ascii" else b"1 1 1 1\n" * 9
+    vertex = ("vertex", 9, [f"float {name}" for name in names], data)
+    with pytest.raises(ValueError, match="line 'property float "):
+        io.read_cloud(ply_file(tmp_path / "t.ply", order, vertex))
+
+
+@pytest.mark.parametrize("count", [-1, -3, 127])
+def test_a_list_of_an_impossible_length_is_refused(tmp_path, count):
+    faces = ("face", 1, ["list char int vertex_indices"], np.int8(count).tobytes())
+    vertex = ("vertex", 30, XYZ, PLANE[:30].astype("<f4").tobytes())
+    path = ply_file(tmp_path / "l.ply", "binary_little_endian", faces, vertex)
+    with pytest.raises(ValueError, match=r"damaged|rows where its header says"):
+        io.read_cloud(path)
+
+
+@pytest.mark.parametrize(("scale", "offset"), [("0", "0"), ("nan", "0"), ("1", "inf")])
+def test_a_scale_that_makes_no_heights_is_refused(tmp_path, scale, offset):
+    text = "".join(
+        f'<Item name="{name}" role="{name}">{value}</Item>'
+        for name, value in (("scale", scale), ("offset", offset))
+    )
+    path = raster(tmp_path / "s.tif", tags=[(42112, "s", 0, text, True)])
+    with pytest.raises(ValueError, match=r"scale .* and offset .*\. Must be numbers"):
+        io.read_heights(path)
+
+
+@pytest.mark.parametrize("kind", [bool, np.complex64])
+def test_values_that_are_no_heights_are_refused(tmp_path, kind):
+    with pytest.raises(ValueError, match="values of type"):
+        io.read_heights(raster(tmp_path / "k.tif", np.ones((4, 5), kind), photometric="minisblack"))
+
+
+def test_that_a_raster_has_more_pages_is_said_and_nothing_of_the_library_is(tmp_path):
+    text = '<Item name="scale" role="scale">1</Item>'
+    path = raster(tmp_path / "p.tif", np.stack([HEIGHTS] * 3), tags=[(42112, "s", 0, text, True)],
+                  photometric="minisblack")  # fmt: skip
+    found, told = said(lambda: io.read_heights(path))
+    assert len(found)
+    assert told.startswith("Read the first of 3 pages of")
+    assert "tifffile" not in told

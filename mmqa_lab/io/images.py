@@ -90,13 +90,10 @@ def read_bands(path: str | os.PathLike) -> np.ndarray:
         pixels = np.atleast_3d(_decoded(path, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH))
         return np.moveaxis(pixels[..., ::-1], 2, 0)  # OpenCV begins with blue
     with _tiff(path, "image", IMAGES) as file:
-        page = file.pages[0]
-        same = sum(one.shape == page.shape and not one.subfiletype for one in file.pages)
+        page = _first_page(path, file)
         pixels, decoded = _page(path, page, IMAGES)
         kind, turn = page.photometric, page.tags.valueof(ORIENTATION, default=1)
         colours = page.colormap if kind == PALETTE else None
-    if same > 1:
-        warnings.warn(f"Read the first of {same} pages of {path}.", stacklevel=2)
     inverted = kind == WHITE_IS_ZERO and not (decoded and pixels.dtype == np.uint8)
     if inverted and pixels.dtype.kind == "u":
         pixels = (2**page.bitspersample - 1 - pixels).astype(pixels.dtype)
@@ -116,6 +113,15 @@ def _tiff(path, name, wanted):
         file = tifffile.TiffFile(path)
         file.pages.first  # noqa: B018 - or an error, where there is no page
         return file
+
+
+def _first_page(path, file):
+    """The first page of a TIFF file; that there are others of its size is said."""
+    page = file.pages[0]
+    same = sum(one.shape == page.shape and not one.subfiletype for one in file.pages)
+    if same > 1:
+        warnings.warn(f"Read the first of {same} pages of {path}.", stacklevel=3)
+    return page
 
 
 def _page(path, page, wanted):
@@ -216,14 +222,16 @@ def _raster_cloud(path):
     """The cells of a GeoTIFF that have a height, and the number of all."""
     what = f"reference {path}"
     with _tiff(path, "reference", RASTERS) as file:
-        page = file.pages[0]
+        page = _first_page(path, file)
         refuse(page.samplesperpixel != 1, what, f"{page.samplesperpixel} bands", RASTERS)
         place = _place(page.tags, what)
         keys = {int(one[0]): one[3] for one in _keys(page.tags) if one[1] == 0}
         stored, _ = _page(path, page, RASTERS)
+        refuse(stored.dtype.kind not in "iuf", what, f"values of type {stored.dtype}", "heights")
         heights = stored[..., 0].astype(np.float64)
         nothing = _number(page.tags.valueof("GDAL_NODATA"), "no-data value", what, np.nan)
         heights[stored[..., 0] == nothing] = np.nan
+        scale, offset = _scale(page.tags.valueof("GDAL_METADATA", default=""), what)
         masks = [_page(path, one, RASTERS)[0] for one in file.pages[1:] if one.subfiletype == MASK]
     if Path(f"{path}.msk").is_file():
         with _tiff(f"{path}.msk", "mask", RASTERS) as file:
@@ -232,7 +240,6 @@ def _raster_cloud(path):
         other = mask.shape[:2] != heights.shape
         refuse(other, what, "a mask of other size", "as large as heights")
         heights[mask[..., 0] == 0] = np.nan
-    scale, offset = _scale(page.tags.valueof("GDAL_METADATA", default=""), what)
     crs = _raster_system(keys, what)
     middle = 0.5 if keys.get(1025, 1) == 1 else 0.0
     row, column = np.indices(heights.shape) + middle
@@ -282,7 +289,10 @@ def _scale(text, what):
     if unit not in ("", "m", "metre", "meter", "metres", "meters"):
         raise ValueError(f"Invalid {what} with heights in {unit}. Must be in metres.")
     usual = {"scale": 1.0, "offset": 0.0}
-    return tuple(_number(found.get(name), name, what, one) for name, one in usual.items())
+    scale, offset = (_number(found.get(name), name, what, one) for name, one in usual.items())
+    usable = np.isfinite([scale, offset]).all() and scale != 0
+    refuse(not usable, what, f"scale {scale:g} and offset {offset:g}", "numbers, no scale of 0")
+    return scale, offset
 
 
 def _raster_system(keys, what):

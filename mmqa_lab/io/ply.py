@@ -36,6 +36,7 @@ def read_ply(path):
     refuse(not headed, f"cloud {path}", "no header", WANTED)
     order, elements = _header(data[: end.start()].decode(errors="replace"), path)
     found = [name for name, _, fields in elements if {"x", "y", "z"} <= {*map(str.lower, fields)}]
+    found.sort(key="vertex".__ne__)  # others, as cameras, may have a place, too
     refuse(not found, f"cloud {path}", "no element has x, y, z", WANTED)
     read = _binary if order else _text
     rows = read(data, end.end(), elements, found[0], path, order)
@@ -56,7 +57,9 @@ def _header(text, path):
                 order = ORDERS[kind]
             case ["element", name, count] if count.isdigit():
                 elements.append((name, int(count), {}))
-            case ["property", kind, name] if elements and kind in TYPES:
+            case ["property", kind, name] if elements and (
+                kind in TYPES and name not in elements[-1][2]
+            ):
                 elements[-1][2][name] = (TYPES[kind],)
             case ["property", "list", size, kind, name] if elements and (
                 {size, kind} <= {*TYPES} and TYPES[size][0] != "f"
@@ -101,6 +104,8 @@ def _behind_lists(data, at, count, fields, order):
     for _ in range(count):
         for length, *item in sizes:
             number = struct.unpack_from((order or "=") + length.char, data, at)[0] if item else 0
+            if number < 0:
+                raise ValueError("a list of fewer than no items")
             at += length.itemsize + (number * item[0].itemsize if item else 0)
     return at
 
@@ -116,7 +121,7 @@ def _text(data, at, elements, wanted, path, _):
     kind = _row(fields, "", path)
     if not count:
         return np.empty(0, kind)
-    layout = {"sep": r"\s+", "header": None, "names": [*fields], "float_precision": "round_trip"}
+    layout = {"sep": r"\s+", "header": None, "names": [*fields]}
     with reading(path, "cloud", WANTED):
         rows = BytesIO(b"\n".join(lines[before : before + count]))
         table = pd.read_csv(rows, index_col=False, na_values=NO_NUMBERS, **layout)
