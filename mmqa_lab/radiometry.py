@@ -49,7 +49,7 @@ from scipy.special import stdtrit
 from scipy.stats import median_abs_deviation
 
 from mmqa_lab._checks import check_columns, check_count, check_number, check_positive
-from mmqa_lab._results import Shown
+from mmqa_lab._results import Shown, sentences
 
 __all__ = [
     "adjust_block",
@@ -1010,7 +1010,7 @@ def _warn(block, estimate, value, std, share):
             "gains may be wrong by more than their deviations.",
         ),
     ]
-    for text in (text for true, text in doubts if true):
+    for text in sentences(*doubts):
         warnings.warn(text, stacklevel=3)
 
 

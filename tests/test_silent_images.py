@@ -227,39 +227,6 @@ def without_a_chart(path):
 LENS, BOARD = {"pixel_mm": 1.8}, {"sag": 20.0, "turn": (0, 30, 1), "pixel_mm": 2.2}
 
 ROWS = {
-    # charts in photographs
-    "lens, 3.8 % at the corner": Row(bent("w_v_mm", radial=(-0.038, 0), **LENS), "", 10, 6),
-    "lens, 7.6 %": Row(bent("w_v_mm", radial=(-0.076, 0), **LENS), "bent by 1.8%", 15, 6),
-    "lens, 15 %": Row(bent("w_v_mm", radial=(-0.15, 0), **LENS), "bent by 3.7%", 15, 6),
-    "lens, 15 %, pixel": Row(
-        bent("pixel_v_mm", radial=(-0.15, 0), **LENS), "bent by 3.7%", np.nan, 1, 1e-3
-    ),
-    "lens, 40 %": Row(bent("w_v_mm", radial=(-0.4, 0.1), pixel_mm=2.1), r"bent by 7\.\d%", 15),
-    "board bent by 20 mm": Row(bent("pixel_h_mm", **BOARD), "", 1.051, 1, 1e-3),
-    "board bent by 20 mm, w": Row(bent("w_v_mm", **BOARD), "", 15, 6),
-    "beam over 44 % of a row": Row(
-        behind((1, 820.0, 17.6), "w_h_mm", 2.7), "hidden: pairs_h_20", 30
-    ),
-    "post over a row": Row(
-        behind((0, 500.0, 30.0), "w_h_mm"), "hidden: pairs_h_40, pairs_h_15, pairs_h_10", 40, 20
-    ),
-    "post on a standing bar": Row(
-        behind((0, 150.0, 30.0), "pixel_v_mm", 5.4, yaw=25), "map's: bar_left$", 1.0318, 1, 5e-3
-    ),
-    "beam on both standing bars": Row(
-        behind((1, 100.0, 15.0), "pixel_v_mm", 5.4, yaw=30, pitch=10),
-        "map's: bar_left, bar_right$", np.nan, 1, 5e-3,
-    ),
-    "white clipped in the photograph": Row(
-        clipped_in_photograph, "54% of the plain pixels are clipped", np.nan, 5.4, 0.01
-    ),
-    "two charts": Row(side_by_side(5.5, 4.0), "2 charts are seen, the largest", 5.5, 4, 0.01),
-    "two charts, targets of one too small": Row(
-        side_by_side(12.0, 4.0), "2 charts are seen, the largest is measured", 12, 4, 0.01
-    ),
-    "no chart in one of two photographs": Row(
-        without_a_chart, "no long bars found", np.nan, 3.2, 0.01
-    ),
     # edges and stars: MTF50 over the true one
     "edge, white clipped": Row(edge("white", 1), "white is clipped", 1.16),
     "edge, black clipped": Row(edge("black", 2), "black is clipped", 1.11),
@@ -310,6 +277,39 @@ ROWS = {
         verdict(9.0, "<=", 5.0, "pixel_mm", "pixl_mm"), "'pixel_mm' is the nearest", 1
     ),
     "d4 in metres": Row(verdict(0.02, "<=", 20.0, "d4_mm"), "in the unit of d4_mm", 1),
+    # charts in photographs
+    "lens, 3.8 % at the corner": Row(bent("w_v_mm", radial=(-0.038, 0), **LENS), "", 10, 6),
+    "lens, 7.6 %": Row(bent("w_v_mm", radial=(-0.076, 0), **LENS), "bent by 1.8%", 15, 6),
+    "lens, 15 %": Row(bent("w_v_mm", radial=(-0.15, 0), **LENS), "bent by 3.7%", 15, 6),
+    "lens, 15 %, pixel": Row(
+        bent("pixel_v_mm", radial=(-0.15, 0), **LENS), "bent by 3.7%", np.nan, 1, 1e-3
+    ),
+    "lens, 40 %": Row(bent("w_v_mm", radial=(-0.4, 0.1), pixel_mm=2.1), r"bent by 7\.\d%", 15),
+    "board bent by 20 mm": Row(bent("pixel_h_mm", **BOARD), "", 1.051, 1, 1e-3),
+    "board bent by 20 mm, w": Row(bent("w_v_mm", **BOARD), "", 15, 6),
+    "beam over 44 % of a row": Row(
+        behind((1, 820.0, 17.6), "w_h_mm", 2.7), "hidden: pairs_h_20", 30
+    ),
+    "post over a row": Row(
+        behind((0, 500.0, 30.0), "w_h_mm"), "hidden: pairs_h_40, pairs_h_15, pairs_h_10", 40, 20
+    ),
+    "post on a standing bar": Row(
+        behind((0, 150.0, 30.0), "pixel_v_mm", 5.4, yaw=25), "map's: bar_left$", 1.0318, 1, 5e-3
+    ),
+    "beam on both standing bars": Row(
+        behind((1, 100.0, 15.0), "pixel_v_mm", 5.4, yaw=30, pitch=10),
+        "map's: bar_left, bar_right$", np.nan, 1, 5e-3,
+    ),
+    "white clipped in the photograph": Row(
+        clipped_in_photograph, "54% of the plain pixels are clipped", np.nan, 5.4, 0.01
+    ),
+    "two charts": Row(side_by_side(5.5, 4.0), "2 charts are seen, the largest", 5.5, 4, 0.01),
+    "two charts, targets of one too small": Row(
+        side_by_side(12.0, 4.0), "2 charts are seen, the largest is measured", 12, 4, 0.01
+    ),
+    "no chart in one of two photographs": Row(
+        without_a_chart, "no long bars found", np.nan, 3.2, 0.01
+    ),
 }  # fmt: skip
 """What is photographed and what of it is read, the words, the wrong figure, the right one."""
 

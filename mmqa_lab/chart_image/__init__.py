@@ -26,7 +26,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from mmqa_lab._results import Shown
+from mmqa_lab._results import Shown, sentences
 from mmqa_lab.chart_image import reading
 from mmqa_lab.chart_image.placing import (
     SAID_BEND,
@@ -166,8 +166,9 @@ class ImageQuality(Shown):
         # blurred pairs are half white, half black in linear light; a display's curve adds 0.2
         blurred = pairs["contrast"].between(0.02, 0.7) & (pairs["reason"] != reading.HIDDEN)
         tone = pairs.loc[blurred, "mean"].median()
+        widths = [(one, self.resolution(one).width_mm) for one in "hv"]
         bent = 0 if self.chart_map.bend is None else self.chart_map.bent_share(self.layout)
-        doubts = [
+        return sentences(
             (bent > SAID_BEND, f"straight lines are bent by {bent:.1%}, the map follows them"),
             (charts > 1, f"{charts} charts are seen, the largest is measured"),
             (clipped > 0.05, f"{clipped:.0%} of the plain pixels are clipped"),
@@ -179,11 +180,8 @@ class ImageQuality(Shown):
                 abs(tone - 0.5) > 0.12,
                 f"blurred line pairs have a mean tone of {tone:.2f} for 0.50: is gamma right?",
             ),
-        ]
-        for direction in "hv":
-            nothing = np.isnan(self.resolution(direction).width_mm)
-            doubts.append((nothing, f"no line pairs are resolved in direction {direction}"))
-        return [sentence for true, sentence in doubts if true]
+            *((np.isnan(w), f"no line pairs are resolved in direction {d}") for d, w in widths),
+        )
 
     def plot(self, *, ax: Axes) -> Axes:
         """Draw the photograph with its line pairs outlined: resolved or refused."""
