@@ -282,16 +282,6 @@ def test_an_image_half_under_a_cloud_is_said(rng):
             adjust_block(table.assign(radiance=dark), control=control, **PRIORS)
 
 
-@pytest.mark.parametrize(
-    ("top", "pixels", "saturated"), [(3500, 2, False), (3500, 40, True), (4095, 2, True)]
-)
-def test_two_pixels_of_one_value_are_no_saturation_unless_it_is_the_largest(top, pixels, saturated):
-    image = np.linspace(100, 3000, 1600).reshape(40, 40)
-    image[0, :pixels] = top
-    share = patch_statistics(image, [[0, 1, 0, 40]])["saturated_share"].item()
-    assert (share > 0) == saturated
-
-
 def test_intervals_hold_where_observations_are_better_than_is_taken_at_first(rng):
     inside, widths = [], []
     for _ in range(12):

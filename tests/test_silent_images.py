@@ -239,6 +239,7 @@ ROWS = {
     "sharpened": Row(edge("sharpened", 9), "^sharpened$", 1.6),
     "edge of 45 degrees": Row(edge("plain", 10, angle_deg=45.0), "", np.nan, 1, 0.02),
     "16 bits of sRGB": Row(sixteen_bits, "", 0.974, 1, 0.01),
+    "star as stated": Row(star(), "", np.nan, 1, 0.02),
     "star of 35 cycles for 36": Row(star(cycles=35), "it shows about 36", 0.53),
     "star of 37 cycles for 36": Row(star(cycles=37), "star of 37 cycles", 0.53),
     "star, a third hidden": Row(star(hidden=1.05), "a part of the star is hidden", 1.31),
@@ -269,6 +270,7 @@ ROWS = {
     "LZW": Row(of_file(lzw=True), "", np.nan, 0.15, 0.01),
     "displayed pixels": Row(of_file(lzw=True, turn=2), "", -0.35, 0.15, 0.01),
     "two pixels share the largest value": Row(saturated((3500, 3500)), "", 0.05, 0),
+    "forty pixels share it": Row(saturated((3500,) * 40), "", 0, 1),
     "largest value of 12 bits": Row(saturated((4095, 4095)), "", 0, 0.05),
     # tenders: 1 lets a figure pass
     "text c for at least b": Row(verdict("c", ">=", "b", "legibility"), "not met", 1, 0),

@@ -147,7 +147,7 @@ FAULTS = (
     ("radiometry", "uneven.any(),", "False,", "test_radiometry.py"),
     ("radiometry", "odd > 0.01,", "False,", "test_radiometry.py"),
     ("radiometry", "5 * counts[1:].max(), FEWEST_PILED", "5 * counts[1:].max(), 1",
-     "test_radiometry.py"),
+     "test_silent_images.py"),
     ("radiometry", "self.n - 1 - int(", "self.n - int(", "test_radiometry.py"),
     ("chart_image", "axis=1).max() > BEND_PX else", "axis=1).max() > 1e9 else",
      "test_chart_bent.py"),
