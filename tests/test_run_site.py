@@ -7,8 +7,8 @@ import nbformat
 import pytest
 
 from mmqa_lab.__main__ import main
-from mmqa_lab.run.api import public_names
 from mmqa_lab.run.notebooks import execute
+from mmqa_lab.run.pages import public_names
 from mmqa_lab.studies import STUDIES, TOOLS
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import guesses
 import nbformat
+import numpy as np
 import pandas as pd
 import psutil
 import pytest
@@ -182,7 +183,9 @@ def test_a_cloud_that_cannot_be_used_is_a_sentence_beside_the_others(
     files = [tmp_path / f"{name}.laz" for name in ("feet", "turned", "none", "bush", "wall")]
     for name, cloud in clouds.items():
         write_cloud(tmp_path / f"{name}.laz", cloud, scale=1e-7 if name == "turned" else 1e-3)
-    scope = run_tool(map(str, [*files, "no_sample"]))
+    wall[:2] = -9999
+    np.savetxt(tmp_path / "gaps.xyz", wall)
+    scope = run_tool(map(str, [*files, tmp_path / "gaps.xyz", "no_sample"]))
     said = capsys.readouterr().out
     for part in (
         "'feet' in foot",
@@ -190,6 +193,7 @@ def test_a_cloud_that_cannot_be_used_is_a_sentence_beside_the_others(
         "none.laz: no such file",
         "bush: no plane",
         "Invalid sample 'no_sample'",
+        "Dropped 2 of 1000 points",
     ):
         assert said.count(part) == 1
     assert scope["tool"].name == "wall"

@@ -161,7 +161,7 @@ def studies(
     from mmqa_lab.studies import STUDIES, TOOLS, chosen, notebooks_folder, results_folder
 
     if site is not None:
-        from mmqa_lab.run.site import write_site
+        from mmqa_lab.run.pages import write_site
 
         with own_folder(site):
             print(write_site(site, notebooks_folder(), [*chosen(names or []), *TOOLS]))

@@ -1,12 +1,15 @@
 """The pages of a run: the index of all studies, the ledger, and each executed notebook.
 
 A page is one file with relative links and needs no network. The texts around the results are in
-``templates/``.
+``templates/``. A site has the stored notebooks in place of those of a run.
 """
 
+import ast
 import base64
+import functools
 import hashlib
 import re
+import shutil
 from html import escape
 from pathlib import Path
 
@@ -17,16 +20,16 @@ from latex2mathml.converter import convert
 from nbconvert import HTMLExporter
 from nbconvert.preprocessors import TagRemovePreprocessor
 
+import mmqa_lab
 from mmqa_lab import __version__
 from mmqa_lab.io import write_atomically
 from mmqa_lab.published import ledger
 from mmqa_lab.run import four_digits, read_record, verdict
-from mmqa_lab.run.api import public_names
 from mmqa_lab.studies import notebooks_folder
 
 __all__ = [
-    "ANSWERS", "LEDGER_COLUMNS", "TEMPLATES", "filled", "notebook_page", "stored_answers",
-    "write_ledger", "write_pages", "write_report", "write_words",
+    "ANSWERS", "LEDGER", "LEDGER_COLUMNS", "TEMPLATES", "filled", "notebook_page", "public_names",
+    "stored_answers", "write_ledger", "write_pages", "write_report", "write_site", "write_words",
 ]  # fmt: skip
 
 TEMPLATES = Path(__file__).parent / "templates"
@@ -40,6 +43,12 @@ HEADLINE = re.compile(r"^#+ +(.+)", re.MULTILINE)
 
 # File of the stored answers in the folder of the notebooks, see :mod:`mmqa_lab.run.store`.
 ANSWERS = "answers.csv"
+
+# File of the stored ledger there.
+LEDGER = "ledger.csv"
+
+# The looks of a notebook's page, which a site keeps in one file.
+STYLES = re.compile(r"<style.*?</style>", re.DOTALL)
 
 # Columns of the ledger page.
 LEDGER_COLUMNS = ["source", "table", "cell", "role", "printed", "ours", "kind", "study", "note"]
@@ -199,3 +208,93 @@ def filled(name, **values):
     choices = {"autoescape": True, "trim_blocks": True, "lstrip_blocks": True}
     environment = Environment(loader=FileSystemLoader(TEMPLATES), **choices)
     return environment.get_template(name).render(**values)
+
+
+def write_site(folder, notebooks, studies):
+    """Write the stored notebooks as a site: gallery, pages, ledger, glossary, public names.
+
+    Parameters
+    ----------
+    folder : path
+        Created if missing; pages of an earlier site are replaced.
+    notebooks : path
+        Folder of the stored notebooks.
+    studies : list of mmqa_lab.studies.Study
+        Studies and tools, in the order of the gallery.
+
+    Returns
+    -------
+    Path
+        The page ``index.html``.
+    """
+    folder, notebooks = Path(folder), Path(notebooks)
+    for study in studies:
+        notebook = nbformat.read(study.path, as_version=4)
+        page = notebook_page(notebook, study.title, above=["[Home](index.html)"])
+        styles = "\n".join(STYLES.findall(page))
+        looks = '<link rel="stylesheet" href="notebook.css"></head>'
+        page = STYLES.sub("", page).replace("</head>", looks)
+        page = re.sub(r'href="(\d\d_\w+)\.ipynb', r'href="\1.html', page)
+        page = re.sub(r'href="[^"]*/glossary\.csv', 'href="glossary.html', page)
+        write_atomically(folder / f"{study.notebook}.html", page)
+    write_atomically(folder / "notebook.css", re.sub(r"</?style[^>]*>", "", styles))
+    pictures = sorted(notebooks.glob("thumbnails/*.png"))
+    for picture in pictures:
+        copy = functools.partial(shutil.copyfile, picture)
+        write_atomically(folder / "thumbnails" / picture.name, copy)
+    write_words(folder)
+    stored = notebooks / LEDGER
+    if stored.is_file():
+        rows = pd.read_csv(stored, dtype={"printed": str})
+        texts = rows.select_dtypes(exclude=["number", "bool"]).columns
+        rows[texts] = rows[texts].fillna("")
+        write_ledger(folder / "ledger.html", rows)
+    shown = {"answers": stored_answers(notebooks), "ledger": stored.is_file(), "studies": studies}
+    shown |= {"thumbnails": {picture.stem for picture in pictures}, "version": __version__}
+    write_atomically(folder / "index.html", filled("site.html", **shown))
+    return folder / "index.html"
+
+
+def public_names() -> pd.DataFrame:
+    """Return the public names of the package, in the order of its rooms.
+
+    They are read from the source, so nothing is imported. A room's names are those of ``__all__``
+    in its module, or in the modules of its folder.
+
+    Returns
+    -------
+    DataFrame of str
+        ``module``, ``name`` and ``purpose``, the first sentence of the docstring.
+
+    Examples
+    --------
+    >>> names = public_names()
+    >>> names[names["name"] == "sigma_mad"].values.tolist()[0][:2]
+    ['mmqa_lab.planes', 'sigma_mad']
+    """
+    rooms = re.findall(r"^- ``(\w+)``: ", mmqa_lab.__doc__, re.MULTILINE)
+    package, rows = TEMPLATES.parents[1], []
+    for room in rooms:
+        folder = package / room
+        for file in sorted(folder.rglob("*.py")) if folder.is_dir() else [package / f"{room}.py"]:
+            parts = file.relative_to(package.parent).with_suffix("").parts
+            module = ".".join(parts).removesuffix(".__init__")
+            if not any(part.startswith("_") for part in module.split(".")):
+                rows += [(module, *row) for row in _names_of(file)]
+    return pd.DataFrame(rows, columns=["module", "name", "purpose"])
+
+
+def _names_of(file):
+    """The names that a file defines and offers, with their first sentences."""
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    offered = set()
+    for node in tree.body:
+        targets = getattr(node, "targets", [getattr(node, "target", None)])
+        if any(getattr(target, "id", "") == "__all__" for target in targets):
+            parts = ast.walk(node.value)
+            offered |= {part.value for part in parts if isinstance(part, ast.Constant)}
+    for node in tree.body:
+        if getattr(node, "name", None) in offered:
+            text = " ".join((ast.get_docstring(node) or "").split("\n\n")[0].split())
+            text = re.sub(r":\w+:`~?([^`]*)`|``", lambda found: found[1] or "", text)
+            yield node.name, re.split(r"(?<=[.;])\s", text)[0].rstrip(";")

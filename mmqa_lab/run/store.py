@@ -17,15 +17,12 @@ from mmqa_lab import plots
 from mmqa_lab.io import write_atomically
 from mmqa_lab.published.ledger import collect, summary
 from mmqa_lab.run import read_record
-from mmqa_lab.run.pages import ANSWERS
+from mmqa_lab.run.pages import ANSWERS, LEDGER
 
-__all__ = ["LEDGER", "code_hash", "store"]
+__all__ = ["code_hash", "store"]
 
 # Widths of stored figures, which is 178 mm at 143 dpi, and of thumbnails.
 WIDTH_PX, THUMBNAIL_PX = 1000, 280
-
-# File of the stored ledger, in the folder of the notebooks.
-LEDGER = "ledger.csv"
 
 # Figures of a chart against tasks, for the metric cards, in the folder of results.
 TASKS = "fitness/tasks_by_figures.csv"
