@@ -821,3 +821,24 @@ def test_that_a_raster_has_more_pages_is_said_and_nothing_of_the_library_is(tmp_
     assert len(found)
     assert told.startswith("Read the first of 3 pages of")
     assert "tifffile" not in told
+
+
+@pytest.mark.parametrize(("text", "sentence"), [
+    ("a,b\n1,2,3\n4,5,6\n", "names over"),
+    ("a;b\n1;2;3;4\n", "names over"),
+    ("a,b,a\n1,2,3\n", "column 'a' twice. Must be distinct names."),
+])  # fmt: skip
+def test_tables_whose_columns_are_not_told_apart_are_refused(tmp_path, text, sentence):
+    (tmp_path / "t.csv").write_text(text)
+    with pytest.raises(ValueError, match=re.escape(sentence)):
+        io.read_table(tmp_path / "t.csv", "table", ("a",))
+
+
+@pytest.mark.parametrize("text", [
+    "a,b\n1,2\n", "a,b\n1,2,\n", "a;b\n1;2;\n", " a , b \n1,2\n", '"a","b"\r\n1,2\r\n',
+    "a,b,\n1,2,\n", "a,b\n1,2,,\n",
+])  # fmt: skip
+def test_tables_of_any_form_have_the_same_columns(tmp_path, text):
+    (tmp_path / "t.csv").write_text(text)
+    table = io.read_table(tmp_path / "t.csv", "table", ("a", "b"))
+    assert table[["a", "b"]].to_numpy().tolist() == [[1, 2]]

@@ -88,7 +88,7 @@ def _polygon_of_geojson(path, crs):
     if kind == "MultiPolygon":
         _check_one(rings, "polygons", what)
         rings = rings[0]
-    _check_one(rings, "rings, so a hole", what)
+    _check_one(rings, "rings, so a hole" if rings else "rings", what)
     ring = rings[0] if isinstance(rings[0], list) else [rings[0]]
     high = all(isinstance(vertex, list) and len(vertex) >= 3 for vertex in ring)
     refuse(not high, what, "vertices without heights", "x, y, z")

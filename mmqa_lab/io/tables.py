@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import os
 import re
 import warnings
@@ -214,12 +215,18 @@ def read_table(path: str | os.PathLike, name: str, columns: Sequence[str] = ()) 
     """
     what, raw = f"{name} {path}", plain_text(check_file(path, name))
     raw = re.sub(rb'\A"?sep=."?\n', b"", raw)
-    head, _, rows = raw.partition(b"\n")
+    head, _, rows = raw.lstrip(b"\n").partition(b"\n")
     separator = max(b",;\t", key=head.count)
     marks = {"sep": chr(separator)}
     if marks["sep"] != "," and re.search(rb"\d,\d", rows):
         marks["decimal"] = ","
-    table = _read_csv(BytesIO(raw), what, **marks).dropna(how="all", ignore_index=True)
+    names = next(csv.reader([head.decode(errors="replace")], delimiter=marks["sep"]), [])
+    names = [name.strip() for name in names]
+    refuse(not names, what, "no rows", "rows of columns")
+    most = 1 + max(line.count(separator) for line in rows.splitlines() or [head])
+    layout = {"names": range(max(most, len(names))), "index_col": False} | marks
+    table = _with_names(_read_csv(BytesIO(rows), what, **layout), names, what)
+    table = table.dropna(how="all", ignore_index=True)
     check_columns(table, columns, what)
     return table
 

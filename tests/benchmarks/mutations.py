@@ -291,6 +291,7 @@ FAULTS = (
     ("io", "and scale != 0", "", "test_io_kinds.py"),
     ("io", 'refuse(stored.dtype.kind not in "iuf"', "refuse(False", "test_io_kinds.py"),
     ("io", "if same > 1:", "if False:", "test_io_kinds.py"),
+    ("io", "range(max(most, len(names)))", "range(len(names))", "test_io_kinds.py"),
     ("maps", "own_folder(own)", "own_folder(own, ours=True)", "test_outputs.py"),
 )  # fmt: skip
 
