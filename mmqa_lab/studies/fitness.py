@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 import pandas as pd
@@ -256,6 +257,7 @@ def post_errors(points):
     return {"pole_missed_percent": 100 * np.mean(~near.any(axis=1)), "diameter_mm": error}
 
 
+@lru_cache(maxsize=1000)
 def make(draw, number, *, seed, **case):
     """Return the chart of an acquisition, a CloudQuality, and the errors of its tasks, a dict."""
     points, surface, axes = drive(case, np.random.default_rng([seed, draw, number]))

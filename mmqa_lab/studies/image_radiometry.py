@@ -4,6 +4,7 @@ The images of the report (EuroSDR 2013, image radiometry) are airborne and not p
 """
 
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -82,10 +83,22 @@ def calibrated(targets):
 
 def surfaces_of(band):
     """Return surfaces by class with ``reference``; the tarps of Hyytiälä as printed for green."""
-    tarps = table(SOURCE, "reference_targets").query("campaign == 'Hyytiälä'")["reflectance"]
     names = ["black tarp", *["bright tarps"] * 3, "uniform", "uniform", "grass"]
-    reference = [*tarps.dropna(), *OTHERS[band]]
+    reference = [*_printed("Hyytiälä"), *OTHERS[band]]
     return pd.DataFrame({"target_class": names, "reference": reference})
+
+
+@cache
+def _printed(campaign):
+    """Printed reflectances of the reference targets of a campaign."""
+    targets = table(SOURCE, "reference_targets")
+    return targets["reflectance"][targets["campaign"] == campaign].dropna().to_numpy()
+
+
+@cache
+def _sensor(seed):
+    """The sensor fitted to a grey wedge, the same in all bands and states of the air."""
+    return calibrated(wedge_targets(0.0, seed, SETTINGS[:3])[0])
 
 
 def air_of(name, band):
@@ -119,8 +132,7 @@ def field(air, band, reference_std, seed):
     """
     key = [seed, list(ATMOSPHERES).index(air), list(BANDS).index(band)]
     rng, mean = np.random.default_rng([*key, 5]), air_of(air, band)
-    targets = table(SOURCE, "reference_targets").query("campaign == 'Sjökulla'")
-    true, surfaces = targets["reflectance"].dropna().to_numpy(), surfaces_of(band)
+    true, surfaces = _printed("Sjökulla"), surfaces_of(band)
     exposure = radiometry.relative_exposure(0.0035, 11.0, reference=REFERENCE_SETTING)
 
     def measured(reflectance, number):
@@ -131,10 +143,9 @@ def field(air, band, reference_std, seed):
     known = true * (1 + reference_std * rng.standard_normal(len(true)))
     references = measured(true * ANISOTROPY, 1).assign(reflectance=known, anisotropy=ANISOTROPY)
     seen = measured(np.append(surfaces["reference"], WATER), 2)
-    sensor = calibrated(wedge_targets(0.0, seed, SETTINGS[:3])[0])
     airs = {"air": mean, "standard_air": air_of("clean", band)}
     of_image = {"darkest_dn": float(seen["mean_dn"].iloc[-1]), "exposure": exposure}
-    known = airs | of_image | {"references": references, "sensor": sensor}
+    known = airs | of_image | {"references": references, "sensor": _sensor(seed)}
     return SimpleNamespace(surfaces=seen[:-1], **known), surfaces
 
 

@@ -59,9 +59,15 @@ def edge_patch(lens, mtf50, noise, seed):
     rng = np.random.default_rng(seed)
     angle, place = rng.uniform(3, 11.5), rng.uniform(-1, 1)
     spread = spread_of(lens, mtf50)
-    choices = {"angle_deg": angle, "position_px": place, "low": LOW, "high": HIGH}
-    image = noisy(render_edge((100, 64), spread, **choices), noise, rng)
+    image = noisy(_drawn_edge(lens, mtf50, angle, place), noise, rng)
     return image, {"mtf50": spread.mtf50(angle), "fwhm_px": spread.fwhm(angle)}
+
+
+@lru_cache(maxsize=1000)
+def _drawn_edge(lens, mtf50, angle, place):
+    """An edge before noise, which is drawn once for all noises and methods."""
+    choices = {"angle_deg": angle, "position_px": place, "low": LOW, "high": HIGH}
+    return render_edge((100, 64), spread_of(lens, mtf50), **choices)
 
 
 def real_patch(photograph, **_):
