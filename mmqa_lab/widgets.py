@@ -370,7 +370,7 @@ class SelectionTool:
 
         again()
         self._followers.append(output.clear_output if button else again)
-        pressed = ipywidgets.Button(description=button, layout={"width": "24em"})
+        pressed = ipywidgets.Button(description=button, layout=WIDE)
         pressed.on_click(again)
         display(ipywidgets.VBox([pressed, output]) if button else output)
         return function
@@ -517,9 +517,10 @@ class SurfaceTool(SelectionTool):
         self._scene.get_layout_engine().set(rect=(0, 0, 0.93, 1))  # buttons are to the right
         self._scene_canvas = _canvas(self._scene)
         self._scene.canvas.mpl_connect("button_press_event", self._clicked)
-        self._clouds = ipywidgets.Dropdown(options=listed, description="cloud", layout=WIDE)
+        look = {"layout": {"width": "30em"}, "style": {"description_width": "4em"}}
+        self._clouds = ipywidgets.Dropdown(options=listed, description="cloud", **look)
         self._clouds.observe(lambda change: self.choose(change["new"]), names="value")
-        self._list = ipywidgets.Select(description="plane", rows=LISTED, layout=WIDE)
+        self._list = ipywidgets.Select(description="plane", rows=LISTED, **look)
         self._list.observe(lambda change: self._listed(change["new"]), names="value")
         self.name, first = None, listed[0]
         self._enter(first, 0)

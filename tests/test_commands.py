@@ -308,3 +308,22 @@ def test_a_backend_that_is_not_there_is_named(backend, tmp_path):
     name = backend.removeprefix("module://")
     wanted = f"Invalid MPLBACKEND {name}. Must name an installed module, or be agg."
     assert (done.returncode, done.stderr) == (2, f"mmqa evaluate: {wanted}\n")
+
+
+@pytest.mark.parametrize("version", [(3, 10, 13), (3, 8, 18)])
+def test_an_older_python_gets_a_sentence_and_no_environment(version, tmp_path):
+    """It has no tomllib and none of the packages."""
+    code = f"""import sys
+sys.version = "{".".join(map(str, version))} (main)"
+sys.version_info = (*{version}, "final", 0)
+sys.modules |= dict.fromkeys(("tomllib", "numpy", "pandas"))
+import mmqa_lab.__main__ as m
+from pathlib import Path
+m.prepared, m.VENV = lambda wanted: False, Path({str(tmp_path / "made")!r})
+m._uv = m._install = lambda *_: None
+m.main(["info", "x.laz"])"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    name = ".".join(map(str, version))
+    assert done.stderr == f"mmqa: Invalid Python {name}. Must be 3.11 or newer.\n"
+    assert done.returncode == 1
+    assert not (tmp_path / "made").exists()
