@@ -35,7 +35,7 @@ from mmqa_lab._checks import check_choice
 
 __all__ = [
     "Comparison", "cell_table", "compare", "failures", "figure_names", "grid", "heading", "plot",
-    "plot_tables", "rank", "run", "split_unit", "summary", "unit_ending",
+    "plot_tables", "rank", "run", "split_unit", "summary",
 ]  # fmt: skip
 
 # Most characters of a reason.
@@ -364,15 +364,10 @@ def _labels(values):
     return np.array([getattr(value, "__name__", None) or str(value) for value in values])
 
 
-def unit_ending(name: str) -> str:
-    """Return the ending of a name that denotes a unit, or an empty text."""
-    return max((ending for ending in UNITS if name.endswith(ending)), key=len, default="")
-
-
 def split_unit(name: str) -> tuple[str, str]:
     """Return a name without the ending of its unit, and the unit, or an empty text."""
-    ending = unit_ending(name)
-    return (name.removesuffix(ending), UNITS[ending]) if ending else (name, "")
+    ending = max((one for one in UNITS if name.endswith(one)), key=len, default="")
+    return name.removesuffix(ending), UNITS.get(ending, "")
 
 
 def heading(name: str) -> str:
@@ -499,7 +494,7 @@ def summary(
     keys = ["method", *([by] if isinstance(by, str) else by)]
     for name in keys[1:]:
         check_choice(name, "parameter", [*_parameters(results), "seed"])
-    ending, rows = unit_ending(figure), []
+    ending, rows = figure.removeprefix(split_unit(figure)[0]), []
     for key, part in cell_table(results).groupby(keys, sort=False, dropna=False):
         rows.append((*key, *_t_interval(part[figure].to_numpy()), part[figure].isna().sum()))
     figures = [f"mean{ending}", f"low{ending}", f"high{ending}", "n", "missing"]
@@ -605,7 +600,7 @@ def compare(
     sign = {"lower": -1, "higher": 1}[check_choice(better, "better", ("lower", "higher"))]
     values, cases = _by_method(results, figure)
     check_choice(reference, "reference", tuple(values))
-    ending, rows = unit_ending(figure), []
+    ending, rows = figure.removeprefix(split_unit(figure)[0]), []
     for method in values:
         if method == reference:
             continue

@@ -170,13 +170,7 @@ def _with_doubts(quality):
 
 
 @table
-def map_(
-    clouds: list[Path],
-    /,
-    *,
-    out: Path,
-    cell: float = 0.5,
-):
+def map_(clouds: list[Path], /, *, out: Path, cell: float = 0.5):
     """Map the quality of a campaign: density, d1..d4, f, sigma_MAD in every cell.
 
     The tiles of the map are kept in a folder beside it, whose name ends in .run. An interrupted
@@ -301,12 +295,7 @@ def _setup(scanner, speed, given):
 
 
 @table
-def pattern(
-    clouds: list[Path],
-    /,
-    *,
-    polygon: str | None = None,
-):
+def pattern(clouds: list[Path], /, *, polygon: str | None = None):
     """Measure the scan pattern of a planar patch: profile spacing, profile angle, point spacing.
 
     The patch must come from one pass of one scanner head. Profiles are told apart by scan line or
@@ -565,12 +554,7 @@ def calibrate(
 
 
 @table
-def chart(
-    *,
-    out: Path,
-    chart: Literal["grey", "revised", "points"] = "grey",
-    seed: int = 0,
-):
+def chart(*, out: Path, chart: Literal["grey", "revised", "points"] = "grey", seed: int = 0):
     """Write a test chart to print, 1 m x 1 m at true size, as PDF or SVG.
 
     The imaging chart has long bars for the pixel size, line pairs for the resolution, texts and

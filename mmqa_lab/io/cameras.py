@@ -28,9 +28,7 @@ COEFFICIENTS, BROWN = (
 CALIBRATION = "OpenCV's camera_matrix (3 x 3) and distortion_coefficients (k1, k2, p1, p2, k3, ...)"
 
 
-def read_camera(
-    path: str | os.PathLike,
-) -> tuple[np.ndarray, np.ndarray, tuple[int, int] | None]:
+def read_camera(path: str | os.PathLike) -> tuple[np.ndarray, np.ndarray, tuple[int, int] | None]:
     """Read the calibration of a camera: OpenCV's YAML, XML or JSON, or plain YAML or JSON.
 
     Parameters
