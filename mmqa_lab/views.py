@@ -12,6 +12,7 @@ import sys
 from typing import Any
 
 import numpy as np
+from IPython import get_ipython
 from IPython.display import Markdown
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
@@ -114,7 +115,9 @@ def _plotter(local, values, label, limit=None):
     """The pyvista scene of one cloud."""
     import pyvista
 
-    plotter = pyvista.Plotter(off_screen=is_headless(), window_size=(900, 650))
+    # pyvista itself does not find the notebook when a button calls
+    place: dict = {"notebook": get_ipython() is not None, "off_screen": is_headless()}
+    plotter = pyvista.Plotter(**place, window_size=(900, 650))
     marks, cmap = np.array([-1, 0, 1]) * (limit or 0), plots.DIVERGING_MAP
     if limit is None:
         marks, cmap = _round_ticks(np.nanmin(values), np.nanmax(values)), plots.MAP

@@ -16,6 +16,15 @@ def test_the_view_shows_the_cloud(rng, tmp_path):
     assert len(np.unique(picture, axis=0)) > 50  # colours
 
 
+@pytest.mark.skipif(not views.can_render(), reason="needs the OpenGL libraries of the README")
+@pytest.mark.parametrize("shell", [None, object()])
+def test_a_view_is_the_notebooks_wherever_it_is_asked_for(shell, monkeypatch):
+    """IPython tells only the code of a cell where it runs, not the function of a button."""
+    monkeypatch.setattr(views, "get_ipython", lambda: shell)
+    points = np.eye(3)
+    assert views._plotter(points, points[:, 2], "height (m)").notebook == (shell is not None)
+
+
 def test_a_machine_that_cannot_draw_is_found_out_in_a_child(monkeypatch):
     monkeypatch.setattr(views, "PROBE", "import os; os.abort()")
     views.can_render.cache_clear()
