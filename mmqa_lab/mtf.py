@@ -285,14 +285,13 @@ class _Sigmoid:
                 f"Invalid edge: it leaves a straight line by {crooked:.0%} of its width. Must be "
                 "straight, neither bent nor torn."
             )
-        second = max(self.second_step(-1), self.second_step(1))
-        if second > OTHER_EDGE or (self.strange() > OTHER_EDGE and self.overshoot() <= OVERSHOOT):
-            second = max(second, self.strange())
+        strange = self.strange()
+        if strange > OTHER_EDGE and self.overshoot() <= OVERSHOOT:
             raise ValueError(
-                f"Invalid edge: the profile leaves a single step by {second:.0%} of it. "
+                f"Invalid edge: the profile leaves a single step by {strange:.0%} of it. "
                 "Must show one edge between two plain sides."
             )
-        return crooked, second
+        return crooked, max(self.second_step(-1), self.second_step(1))
 
     def crooked(self, part):
         """Standard deviation of the edge's place in parts of its length over its width.

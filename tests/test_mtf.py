@@ -122,13 +122,6 @@ def test_stars_and_edges_behind_other_lenses(lens, width, rng):
     assert bins.fwhm_px == pytest.approx(spread.fwhm(5), rel=0.02)
 
 
-def test_two_edges_in_a_region_are_refused():
-    one = render_edge((60, 90), PointSpread(0.8), angle_deg=5.0, low=0.1, high=0.6)
-    two = one + 0.6 * np.roll(one, 14, axis=1)  # a second step, 14 pixels on
-    with pytest.raises(ValueError, match="Must show one edge between two plain sides"):
-        fit_edge(two[:, 16:-2])
-
-
 def test_bars_are_resolved_down_to_a_width_and_no_further():
     rows = []
     for period in (8.0, 5.0, 3.5, 1.9):

@@ -109,6 +109,12 @@ def edge(kind, seed, noise=0.01, **how):
     return found
 
 
+def two_edges(_):
+    """MTF50 of two edges beside each other."""
+    one = render_edge((60, 90), PointSpread(0.8), angle_deg=5.0, low=0.1, high=0.6)
+    return fit_edge((one + 0.6 * np.roll(one, 14, axis=1))[:, 16:-2]).mtf50, ""
+
+
 def star(*, cycles=36, low=-9.0, high=9.0, hidden=9.0):
     """MTF50 of a star of 36 cycles over the true one."""
 
@@ -237,6 +243,8 @@ ROWS = {
     "wave": Row(edge("wave", 7), "leaves a straight line by 58%", 0.833),
     "torn edge": Row(edge("torn", 8), "leaves a straight line by 78%", 0.708),
     "sharpened": Row(edge("sharpened", 9), "^sharpened$", 1.6),
+    "sharpened strongly": Row(edge("sharpened", 8), "^sharpened$", np.nan),
+    "two edges": Row(two_edges, "leaves a single step by .* one edge", np.nan),
     "edge of 45 degrees": Row(edge("plain", 10, angle_deg=45.0), "", np.nan, 1, 0.02),
     "16 bits of sRGB": Row(sixteen_bits, "", 0.974, 1, 0.01),
     "star as stated": Row(star(), "", np.nan, 1, 0.02),
