@@ -33,7 +33,7 @@ TOGETHER = ("poles", "browser")
 SLOW = (
     *("poles", "browser", "[test_field]", "[chart_tables]", "[image_resolution]"),
     *("[specifications]", "[image_radiometry]", "[repeatability]", "test_lines_edges.py"),
-    *("[anisotropy]", "[chart_images]", "[mimic]", "[lhd_weight]", "[poles]"),
+    *("[anisotropy]", "[chart_images]", "[mimic]", "[lhd_weight]", "[fitness]", "[poles]"),
     *("test_chart_image.py", "test_commands.py", "test_students.py"),
 )
 """How the names of shares end that take long: they come first, so that all processes end together.

@@ -18,6 +18,7 @@ from mmqa_lab.__main__ import main
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.commands import machine
 from mmqa_lab.simulate.test_field import drive_test_field, make_test_field
+from mmqa_lab.studies import chosen
 
 IMAGE = "image chart.png --linear --corners '19.5,269.5; 269.5,269.5; 269.5,19.5; 19.5,19.5'"
 
@@ -327,3 +328,15 @@ m.main(["info", "x.laz"])"""
     assert done.stderr == f"mmqa: Invalid Python {name}. Must be 3.11 or newer.\n"
     assert done.returncode == 1
     assert not (tmp_path / "made").exists()
+
+
+def asked(study, folder, *, quick):
+    """A run of a study that takes no time."""
+    return study.stem
+
+
+def test_the_longest_study_begins_first(tmp_path):
+    studies = chosen(["mimic", "poles"])
+    ran = list(commands.laboratory._run_studies(asked, studies, tmp_path, True, 1))
+    assert [record for _, record in ran] == ["poles", "mimic"]
+    assert [study.stem for study, _ in ran] == ["poles", "mimic"]

@@ -80,6 +80,9 @@ def test_ends_signs_and_steps_have_known_errors():
     found = study.sign_errors(tilted)
     assert abs(found["tilt_deg"] - np.degrees(np.arctan(0.01))) < 1e-9
     assert abs(found["offset_mm"] - np.hypot(4, 2.5)) < 1e-9
+    one_line = tilted[np.abs(xy[:, 1]) < 0.01]  # says nothing of a sign's tilt
+    unseen = {name: study.UNSEEN[name] for name in ("offset_mm", "tilt_deg")}
+    assert study.sign_errors(one_line) == pytest.approx(unseen)
     flat = np.column_stack([xy, np.zeros(len(xy))])
     half = np.where(xy[:, 0] > 0, -study.STEP, 0.0)
     middle = np.abs(xy[:, 0]) > 0.001
