@@ -1,5 +1,6 @@
 """Segments, their distances and the threshold: golden values, brute force, invariances, rejects."""
 
+import re
 import subprocess
 import sys
 import tracemalloc
@@ -11,7 +12,13 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from mmqa_lab.lines import components, correspond, match_displaced, peak_threshold
+from mmqa_lab.lines import (
+    components,
+    correspond,
+    match_displaced,
+    pairing_scores,
+    peak_threshold,
+)
 from mmqa_lab.lines.pairing import MATCHERS
 
 LAMBERT_93 = np.array([651_234.56, 6_862_345.67, 35.0])
@@ -250,3 +257,32 @@ def test_a_radius_that_no_memory_holds_is_refused(radius):
     line = [[[0, 0, 0], [0, 0, 9]]]
     with pytest.raises(ValueError, match="Invalid radius"):
         match_displaced(line, line, radius=radius)
+
+
+def test_few_common_lines_are_matched_rightly_or_refused_with_a_sentence():
+    """A seventh to a quarter of the lines are common, among equal windows."""
+    answered = 0
+    for seed in range(30_000, 30_008):
+        share, length = (0.17, 60.0) if seed % 2 else (0.3, 25.0)
+        test, model, truth, _ = window_rows.scene(seed, length=length, share=share)
+        found = match_displaced(test, model)
+        if found.n:
+            answered += 1
+            assert pairing_scores(found.pairs, truth).f1 > 0.9
+            few = f"Only {found.n} of {min(truth.shape)} lines are paired"
+            assert found.remark.startswith(few) == (found.n < 0.4 * min(truth.shape))
+        else:
+            assert re.search("may be chance|nearly as well", found.remark)
+            assert "remark" in found.to_frame()
+    assert answered >= 4
+
+
+def test_reasons_for_no_displacement_are_said():
+    rng = np.random.default_rng(0)
+    lines = at_random(rng, 12)
+    assert match_displaced(lines[:2], lines).remark == "Fewer than three lines."
+    away = match_displaced(lines + [0, 0, 90.0], lines).remark
+    assert away == "Fewer than three lines have a parallel one within 4 m."
+    same = match_displaced(lines, lines)
+    assert (same.n, same.remark) == (12, "")
+    assert "remark" not in same.to_frame()

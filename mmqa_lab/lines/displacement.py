@@ -12,7 +12,7 @@ vertical.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 from operator import itemgetter
@@ -59,15 +59,23 @@ FIRST_NOISE_M = 0.3
 CLUTTER_PER_M2, LEFT_M = 0.1, 0.08
 """Density of unrelated parallel lines; standard deviation of drift that neighbours do not show."""
 
+ENDS_AGREE, END_M, CLUTTER_ENDS_PER_M = 0.3, 0.15, 0.4
+"""Least share of the ends of true pairs that agree and their mean gap; density of other gaps."""
+
 PATHS, ELSEWHERE_M = 3, 0.8
 """Number of paths compared, and their least distance at each station."""
 
-LEAST_EVIDENCE, FEW_EVIDENCE, PER_SHARE = 2.2, 7.2, 10.0
-"""Least evidence per pair; where few lines are paired, less so much times their share of the
-smaller set. Chosen on 118 simulated rows of windows with few common lines, so no score there."""
+LEAST_EVIDENCE, FEW_SHARE = 2.2, 0.4
+"""Least evidence per pair; the share of the smaller set below which there is a remark."""
 
-RIVAL = 0.9
-"""Largest evidence of a path with other pairs, as a share of the best one's."""
+FEW_EVIDENCE = (7.2, 10.0), (10.0, 16.0)
+"""Least evidence per pair where few lines are paired, and how much less with their share: without
+the ends, or with them."""
+
+RIVAL, MOST_RIVAL = 0.45, 0.9
+"""Largest evidence of a path with other pairs, as a share of the best one's: with few lines, above
+this share by the share of the lines that are paired. These and the evidence with few lines were
+chosen on 300 simulated rows of windows with few common lines, so no score there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +95,8 @@ class Displacement(Shown):
         east to north. It is part of the fit and has no interval.
     centre : array, shape (3,)
         Middle of the pairs, m from the middle of the model lines.
+    remark : str
+        Of :func:`match_displaced`: why there are no pairs, or that few lines are paired.
     """
 
     vector: np.ndarray
@@ -94,6 +104,7 @@ class Displacement(Shown):
     pairs: np.ndarray
     turn_deg: float
     centre: np.ndarray
+    remark: str = ""
 
     @property
     def n(self) -> int:
@@ -109,11 +120,15 @@ class Displacement(Shown):
         return [about(*row, "m") for row in zip(names, self.vector, std, strict=True)]
 
     def to_frame(self) -> pd.DataFrame:
-        """Return a row for x, y and z: value, standard deviation, 95 % interval (m), pairs."""
+        """Return a row for x, y and z: value, standard deviation, 95 % interval (m), pairs.
+
+        Where there is a remark it is the last column.
+        """
         frame = pd.DataFrame({"axis": [*"xyz"], "value_m": self.vector})
         frame["std_m"] = np.sqrt(np.diag(self.covariance))
         ends = self.intervals()
-        return frame.assign(low_m=ends["low"], high_m=ends["high"], n=self.n)
+        frame = frame.assign(low_m=ends["low"], high_m=ends["high"], n=self.n)
+        return frame.assign(remark=self.remark) if self.remark else frame
 
 
 def fit_displacement(test: ArrayLike, model: ArrayLike, pairs: ArrayLike) -> Displacement:
@@ -211,8 +226,9 @@ def match_displaced(test: ArrayLike, model: ArrayLike, *, radius: float = 4.0) -
     Segments must have two directions at least. The displacement may change along the longer side of
     the test set, as drift does along a drive. Every test line votes near its place for the
     displacements that bring it to a model line. The best three paths of the displacement through
-    these votes are compared, since rows of equal windows also agree a window aside. There is no
-    answer if two of them explain nearly as much. Settings were chosen on simulated canyons and rows
+    these votes are compared, since rows of equal windows also agree a window aside. Pairs count by
+    how near they are and how well their ends agree. There is no answer if two paths explain nearly
+    as much. Settings were chosen on simulated canyons and rows
     of windows whose seeds differ from the reported seeds. The idea comes from line-based
     registration (Poreba & Goulette 2015). The distance of the 2013 paper still uses the original
     coordinates.
@@ -229,11 +245,11 @@ def match_displaced(test: ArrayLike, model: ArrayLike, *, radius: float = 4.0) -
     """
     test, model = from_common_origin(test, model)
     radius = check_number(radius, "radius", low=0.1, high=MOST_RADIUS_M, unit="m")
-    pairs = np.zeros((len(test), len(model)), dtype=bool)
+    pairs, remark = np.zeros((len(test), len(model)), dtype=bool), "Fewer than three lines."
     if len(test) >= 3 and len(model):
         rows, columns = _distinct(test), _distinct(model)
-        pairs[np.ix_(rows, columns)] = _matched(test[rows], model[columns], radius)
-    return fit_displacement(test, model, pairs)
+        pairs[np.ix_(rows, columns)], remark = _matched(test[rows], model[columns], radius)
+    return replace(fit_displacement(test, model, pairs), remark=remark)
 
 
 def _distinct(segments):
@@ -244,21 +260,26 @@ def _distinct(segments):
 
 
 def _matched(test, model, radius):
-    """Pairs of the displacement that unites most lines; none if it does not stand out."""
+    """Pairs of the displacement that unites most lines, none if it does not stand out; a remark."""
     lines = _candidates(test, model, radius)
     none = np.zeros(lines.shape, dtype=bool)
     if len(lines.rows) < 3:
-        return none
+        return none, f"Fewer than three lines have a parallel one within {radius:g} m."
     search = _Search(lines, radius)
     paths = islice(search.paths(), PATHS)
     starts = [_retraced(lines, search, path, turn) for path in paths for turn in TURNS]
     outcomes = [_refined(lines, start) for start in starts]
-    evidence, found = max(outcomes, key=itemgetter(0))
-    number = found.sum()
-    rivals = [other for other, them in outcomes if (them & found).sum() < number / 2]
-    share = found.any(axis=1).sum() / min(lines.shape)
-    least = number * max(LEAST_EVIDENCE, FEW_EVIDENCE - PER_SHARE * share)
-    return found if evidence > max([least, *(other / RIVAL for other in rivals)]) else none
+    evidence, found, ends = max(outcomes, key=itemgetter(0))
+    number, fewer = found.sum(), min(lines.shape)
+    rivals = [other for other, them, _ in outcomes if (them & found).sum() < number / 2]
+    share = found.any(axis=1).sum() / fewer
+    least = [number * max(LEAST_EVIDENCE, few - less * share) for few, less in FEW_EVIDENCE]
+    if evidence - ends <= least[0] and evidence <= least[1]:
+        return none, f"The displacement that unites most lines, {number} of {fewer}, may be chance."
+    if max(rivals, default=0) > evidence * min(RIVAL + share, MOST_RIVAL):
+        return none, "Two displacements with other pairs explain the lines nearly as well."
+    few = f"Only {number} of {fewer} lines are paired: look at them." if share < FEW_SHARE else ""
+    return found, few
 
 
 def _candidates(test, model, radius):
@@ -437,14 +458,17 @@ def _retraced(lines, search, path, turn):
 
 
 def _refined(lines, start):
-    """Evidence and pairs from a start, by alternate updates of pairs and displacement."""
+    """Evidence, pairs, and the ends' part of the evidence, from a start.
+
+    Pairs and displacement are updated in turns.
+    """
     lines = lines.again(start(lines.place))
     moved, noise = start(lines.place), FIRST_NOISE_M
     off = lines.offset - np.einsum("nkd,nd->nk", lines.frame, moved)
     near = (off**2).sum(axis=1) < FINE_RADIUS_M**2
     lines = Pairs(lines.test, lines.model, lines.rows[near], lines.columns[near])
     moved = moved[near]
-    outcome = 0.0, np.zeros(lines.shape, dtype=bool)
+    outcome = 0.0, np.zeros(lines.shape, dtype=bool), 0.0
     for _ in range(10):
         lines = lines.again(moved)
         off = lines.offset - np.einsum("nkd,nd->nk", lines.frame, moved)
@@ -458,12 +482,22 @@ def _refined(lines, start):
             break
         # log likelihood ratio of true pairs to unrelated lines
         ratio = -squares[members] / 2 - np.log(2 * np.pi * variance * CLUTTER_PER_M2)
-        same, outcome = (pairs == outcome[1]).all(), (ratio.sum(), pairs)
+        ends = _agreement(lines)[members].sum()
+        same, outcome = (pairs == outcome[1]).all(), (ratio.sum() + ends, pairs, ends)
         before, noise = noise, np.clip(np.median(np.abs(off[members])) * 1.48, 0.03, noise)
         if same and noise > 0.99 * before:
             break
         moved = _field(lines, start(lines.place), members, noise)
     return outcome
+
+
+def _agreement(lines):
+    """Log likelihood ratio of the gaps between the ends of paired lines, zero if they disagree."""
+    half_t, half_m = lines.half
+    gaps = np.abs(np.stack([lines.s - half_t + half_m, lines.s + half_t - half_m]))
+    agree = np.exp(-gaps / END_M) / END_M
+    ratio = np.log(1 - ENDS_AGREE + ENDS_AGREE * agree / CLUTTER_ENDS_PER_M)
+    return np.maximum(ratio.sum(axis=0), 0)
 
 
 def _field(lines, path, members, noise):
