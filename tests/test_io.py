@@ -9,7 +9,7 @@ import pandas as pd
 import pyproj
 import pytest
 import rasterio
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmqa_lab import samples
@@ -202,6 +202,7 @@ NAMES = "x,y,z", "Easting,Northing,Height", "easting_m,northing_m,height_m", "x 
 NAMES += "X,Y,Z", "East,North,Elevation"
 
 
+@settings(deadline=None)
 @given(
     names=st.sampled_from([names.split(",") for names in NAMES]),
     order=st.permutations(range(5)),

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmqa_lab import boresight, io, maps, samples
@@ -187,6 +187,7 @@ def test_a_campaign_leaves_a_folder_of_its_name(taken):
     assert hashes(taken) == before
 
 
+@settings(deadline=None)
 @given(name=st.sampled_from(NAMES), deep=st.booleans())
 def test_any_file_of_another_keeps_a_folder(name, deep):
     with tempfile.TemporaryDirectory() as place:

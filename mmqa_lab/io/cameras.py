@@ -19,10 +19,8 @@ OF_CAMERA = {
 }
 """Names of what a calibration has, without capitals, hyphens and underscores."""
 
-COEFFICIENTS, BROWN = (
-    (4, 5, 8, 12, 14),
-    ("plumbbob", "rationalpolynomial", "brown", "pinhole", "opencv"),
-)
+COEFFICIENTS = (4, 5, 8, 12, 14)
+BROWN = ("plumbbob", "rationalpolynomial", "brown", "pinhole", "opencv")
 """Numbers of distortion coefficients; names of OpenCV's model that has them."""
 
 CALIBRATION = "OpenCV's camera_matrix (3 x 3) and distortion_coefficients (k1, k2, p1, p2, k3, ...)"

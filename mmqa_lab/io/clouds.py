@@ -263,13 +263,12 @@ def _las_pieces(path, chunk, columns):
         while True:
             with reading(path, "cloud", LAS):
                 part = next(parts, None)
-            if part is None:
-                break
-            read += len(part)
-            with reading(path, "cloud", LAS):
+                if part is None:
+                    break
                 attributes = {name: np.array(part[name]) for name in names}
                 points = np.stack([part.x, part.y, part.z], axis=1)
                 raw = [np.asarray(part[axis]) for axis in "XYZ"]
+            read += len(points)
             if "scan_angle" in attributes:
                 attributes["scan_angle"] = attributes["scan_angle"] * SCAN_ANGLE_STEP
             over = outside = np.zeros(1, bool)

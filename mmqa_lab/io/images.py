@@ -14,7 +14,13 @@ from mmqa_lab._checks import check_file, check_same_crs, refuse
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io.clouds import read_cloud
 from mmqa_lab.io.files import HEAD, reading
-from mmqa_lab.io.systems import USER_DEFINED, named_system, system_of_keys
+from mmqa_lab.io.systems import (
+    GLOBE_SYSTEM,
+    PLAN_SYSTEM,
+    USER_DEFINED,
+    named_system,
+    system_of_keys,
+)
 from mmqa_lab.io.tables import NO_HEIGHT_M
 
 __all__ = ["IMAGE_ENDINGS", "read_bands", "read_heights", "read_image"]
@@ -225,7 +231,8 @@ def _raster_cloud(path):
         page = _first_page(path, file)
         refuse(page.samplesperpixel != 1, what, f"{page.samplesperpixel} bands", RASTERS)
         place = _place(page.tags, what)
-        keys = {int(one[0]): one[3] for one in _keys(page.tags) if one[1] == 0}
+        rows = np.reshape(page.tags.valueof("GeoKeyDirectoryTag", default=()), (-1, 4))[1:]
+        keys = {number: value for number, place_of, _, value in rows.tolist() if place_of == 0}
         stored, _ = _page(path, page, RASTERS)
         refuse(stored.dtype.kind not in "iuf", what, f"values of type {stored.dtype}", "heights")
         heights = stored[..., 0].astype(np.float64)
@@ -240,18 +247,16 @@ def _raster_cloud(path):
         other = mask.shape[:2] != heights.shape
         refuse(other, what, "a mask of other size", "as large as heights")
         heights[mask[..., 0] == 0] = np.nan
-    crs = _raster_system(keys, what)
+    number = keys.get(PLAN_SYSTEM, keys.get(GLOBE_SYSTEM))
+    found = "a coordinate system without an EPSG number"
+    refuse(number == USER_DEFINED, what, found, RASTERS)
+    crs = system_of_keys(keys, None if number is None else named_system(number, what), what)
     middle = 0.5 if keys.get(1025, 1) == 1 else 0.0
     row, column = np.indices(heights.shape) + middle
     x = place[0, 0] * column + place[0, 3]
     y = place[1, 1] * row + place[1, 3]
     points = np.stack([x, y, scale * heights + offset], axis=-1)
     return Cloud(points[np.isfinite(heights)], crs=crs), heights.size
-
-
-def _keys(tags):
-    """The rows of four numbers of a GeoTIFF's keys: number, place, count, value."""
-    return np.reshape(tags.valueof("GeoKeyDirectoryTag", default=()), (-1, 4))[1:].tolist()
 
 
 def _place(tags, what):
@@ -293,12 +298,3 @@ def _scale(text, what):
     usable = np.isfinite([scale, offset]).all() and scale != 0
     refuse(not usable, what, f"scale {scale:g} and offset {offset:g}", "numbers, no scale of 0")
     return scale, offset
-
-
-def _raster_system(keys, what):
-    """The coordinate system of a GeoTIFF; None without keys."""
-    number = keys.get(3072, keys.get(2048))
-    found = "a coordinate system without an EPSG number"
-    refuse(number == USER_DEFINED, what, found, RASTERS)
-    crs = None if number is None else named_system(number, what)
-    return system_of_keys(keys, crs, what)

@@ -93,8 +93,7 @@ def _binary(data, at, elements, wanted, path, order):
     kind = _row(fields, order, path)
     there = (len(data) - at) // kind.itemsize
     last = sum(later for _, later, _ in elements) == count
-    if there < count or (last and there > count):
-        raise _miscounted(path, there, count)
+    _check_count(there < count or (last and there > count), path, there, count)
     return np.frombuffer(data, kind, count, at)
 
 
@@ -116,8 +115,7 @@ def _text(data, at, elements, wanted, path, _):
     counts = [count for _, count, _ in elements]
     place = [name for name, _, _ in elements].index(wanted)
     before, count, (*_, fields) = sum(counts[:place]), counts[place], elements[place]
-    if len(lines) != sum(counts):
-        raise _miscounted(path, len(lines), sum(counts))
+    _check_count(len(lines) != sum(counts), path, len(lines), sum(counts))
     kind = _row(fields, "", path)
     if not count:
         return np.empty(0, kind)
@@ -129,8 +127,6 @@ def _text(data, at, elements, wanted, path, _):
         return table.astype({name: kind[name] for name in whole}).to_records(index=False)
 
 
-def _miscounted(path, there, count):
-    """The error of a file whose rows are not as many as its header says."""
-    return ValueError(
-        f"Invalid cloud {path}: {there} rows where its header says {count}. Must agree."
-    )
+def _check_count(wrong, path, there, count):
+    """Raise where the rows of a file are not as many as its header says."""
+    refuse(wrong, f"cloud {path}", f"{there} rows where its header says {count}", "as many")

@@ -8,7 +8,8 @@ import warnings
 __all__ = ["las_system", "named_system", "system_of_keys"]
 
 # GeoTIFF keys (OGC 19-008r4), in LAS and TIFF files alike.
-MODEL, PLAN_SYSTEM, PLAN_UNIT, HEIGHT_SYSTEM, HEIGHT_UNIT = 1024, 3072, 3076, 4096, 4099
+MODEL, GLOBE_SYSTEM, PLAN_SYSTEM, PLAN_UNIT = 1024, 2048, 3072, 3076
+HEIGHT_SYSTEM, HEIGHT_UNIT = 4096, 4099
 DEGREES = 2
 USER_DEFINED = 32767
 
@@ -20,10 +21,8 @@ def named_system(name, what):
     try:
         return pyproj.CRS(name)
     except pyproj.exceptions.CRSError as error:
-        wanted = "a coordinate system that is known"
-        raise ValueError(
-            f"Invalid {what} with system {str(name)[:80]!r}. Must name {wanted}."
-        ) from error
+        found, wanted = f"system {str(name)[:80]!r}", "a coordinate system that is known"
+        raise ValueError(f"Invalid {what} with {found}. Must name {wanted}.") from error
 
 
 def system_of_keys(keys, crs, what):
@@ -39,19 +38,15 @@ def system_of_keys(keys, crs, what):
     stated = 1 if crs is None else crs.axis_info[0].unit_conversion_factor
     if unit is not None and unit.conv_factor != 1 == stated:
         crs = _local(unit.name, unit.conv_factor)
-    number, odd = (
-        keys.get(HEIGHT_SYSTEM, 0),
-        height_unit is not None and height_unit.conv_factor != 1,
-    )
     if crs is not None and crs.is_compound:
         return crs
-    heights = None
-    if odd:
-        axis = f'VERT_CS["heights",VERT_DATUM["unknown",2005],{_wkt(height_unit)},AXIS["Up",UP]]'
+    if height_unit is not None and height_unit.conv_factor != 1:
+        size = f'UNIT["{height_unit.name}",{height_unit.conv_factor!r}]'
+        axis = f'VERT_CS["heights",VERT_DATUM["unknown",2005],{size},AXIS["Up",UP]]'
         heights = pyproj.CRS(axis)
-    elif 1024 < number < USER_DEFINED:
-        heights = named_system(number, what)
-    if heights is None:
+    elif 1024 < keys.get(HEIGHT_SYSTEM, 0) < USER_DEFINED:
+        heights = named_system(keys[HEIGHT_SYSTEM], what)
+    else:
         return crs
     crs = crs or _local("metre", 1.0)
     return pyproj.crs.CompoundCRS(f"{crs.name} + {heights.name}", [crs, heights])
@@ -80,11 +75,6 @@ def _unit(number):
 
     units = get_units_map(auth_name="EPSG", category="linear") if number else {}
     return next((unit for unit in units.values() if unit.code == str(number)), None)
-
-
-def _wkt(unit):
-    """A unit as well-known text."""
-    return f'UNIT["{unit.name}",{unit.conv_factor!r}]'
 
 
 def _local(unit, factor):
