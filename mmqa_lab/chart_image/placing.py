@@ -379,7 +379,8 @@ def locate(
     Notes
     -----
     The six modules of a target need about 2.5 pixels each; the long bars are seen when they are
-    two pixels wide.
+    two pixels wide. Another chart, whose targets cannot be decoded, is counted where it is 50
+    pixels wide in the image made smaller to 6 megapixels.
 
     Examples
     --------
