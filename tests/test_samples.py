@@ -150,7 +150,10 @@ def test_no_network_is_a_sentence(host):
 
 
 def test_public_clouds_state_licence_hash_and_size():
+    readme = (samples.FOLDER / "README.md").read_text(encoding="utf-8")
     for one in samples.PUBLIC.values():
+        assert f"`{one.name}`" in readme
+        assert one.doi in readme
         assert min(map(len, (one.licence, one.origin, one.contents))) > 2
         assert re.fullmatch("[0-9a-f]{128}", one.sha256 + one.archive_sha256)
         assert re.fullmatch(r"(10\.\d+/.+)?", one.doi)
