@@ -9,6 +9,7 @@ as walls and roads, and leave their detection to a companion paper.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import warnings
 from dataclasses import dataclass, replace
@@ -40,9 +41,9 @@ TRIM, TRIMMED = 2.5, 1.05
 """Points farther from their plane than TRIM standard deviations are not fitted. The factor TRIMMED
 corrects the standard deviation of trimmed normal errors, and that of their mean."""
 
-LEAST_TRIAL, DRAWN = 6, 3
-"""Least number of points of a trial, and most points of it from one cell, so that dense and sparse
-parts count alike."""
+LEAST_TRIAL, DRAWN, NEAREST = 6, 3, 64
+"""Least number of points of a trial; the most from one cell, so that dense and sparse parts count
+alike; the most in all, the nearest ones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,8 +235,8 @@ class _Search:
         blocks = np.ravel_multi_index((grid.places[fullest] // 2).T, grid.shape)
         seeds = np.sort(fullest[np.unique(blocks, return_index=True)[1]])
         planes, scores = np.zeros((len(seeds), 2, 3)), np.zeros(len(seeds))
-        given = self.cells, self.owner, counts, grid.near(seeds, 2), self.trials
-        limits = self.tolerance, 0.5 * grid.edge**2
+        given = self.cells, self.owner, counts, seeds, grid.near(seeds, 2), self.trials
+        limits = self.tolerance, grid.edge
         in_threads(_try_planes, len(seeds), *given, *limits, planes, scores)
         best = np.argsort(-scores, kind="stable")
         best = best[scores[best] > LEAST_TRIAL / 2]
@@ -276,9 +277,10 @@ class _Search:
             # points without any plane have a ratio of 0.58
             if spread[0] > 0.48 * self.tolerance or spread[1] < 1.2 * self.tolerance:
                 continue
-            plane, *spreads = _trimmed(self.grid.points[fitted], *planes[k], self.tolerance)
-            plane = replace(plane, centre=plane.centre + self.grid.low)
-            parts.append(PlanePart(plane, rows[index], rows[fitted], *spreads))
+            with contextlib.suppress(ValueError):  # all but strays lie on one line
+                plane, *spreads = _trimmed(self.grid.points[fitted], *planes[k], self.tolerance)
+                plane = replace(plane, centre=plane.centre + self.grid.low)
+                parts.append(PlanePart(plane, rows[index], rows[fitted], *spreads))
         return sorted(parts, key=len, reverse=True)
 
 
@@ -287,7 +289,8 @@ def _trimmed(points, centre, normal, tolerance):
     off = residuals = (points - centre) @ normal
     # points of window reveals lie on one side of a wall, within the tolerance
     for _ in range(2):
-        core = points[np.abs(off) <= TRIM * max(sigma_mad(residuals), 0.02 * tolerance)]
+        most = TRIM * max(sigma_mad(residuals), 0.02 * tolerance)
+        core = points[np.abs(off - np.median(residuals)) <= most]
         plane = fit_plane(core)
         off, residuals = plane.distances(points), plane.residuals
     sigma = TRIMMED * np.sqrt((residuals**2).sum() / max(len(core) - 3, 1))
@@ -340,31 +343,40 @@ def _fit(moments, plane):
 
 
 @njit(cache=True)
-def _drawn(cells, owner, counts, near, local):
-    """Write free points of some runs of cells, evenly drawn, as columns; return their number."""
+def _drawn(cells, owner, counts, near, seed, local, far):
+    """Write free points around a seed cell, evenly drawn, as columns; return their number."""
     points, start, _ = cells
-    n = 0
+    n, middle = 0, start[seed]
     for first, last in near:
         for cell in range(first, last):
             stride, free = (counts[cell] + DRAWN - 1) // DRAWN, 0
             for p in range(start[cell], start[cell + 1]):
                 if owner[p] < 0:
                     if free % stride == 0:
+                        far[n] = 0.0
                         for i in range(3):
                             local[i, n] = points[p, i]
+                            far[n] = max(far[n], abs(points[p, i] - points[middle, i]))
                         n += 1
                     free += 1
+    if n > NEAREST:
+        reach, k = np.sort(far[:n])[NEAREST - 1], 0
+        for j in range(n):
+            for i in range(3):
+                local[i, k] = local[i, j]
+            k += far[j] <= reach
+        n = k
     return n
 
 
 @njit(cache=True, nogil=True)
 def _try_planes(
-    begin, end, cells, owner, counts, near, trials, tolerance, least_area, planes, scores
+    begin, end, cells, owner, counts, seeds, near, trials, tolerance, edge, planes, scores
 ):
     """Write the plane fitted to what the best plane of three points takes, and its score."""
-    room = np.empty((3, DRAWN * 125))
+    room, far = np.empty((3, DRAWN * 125)), np.empty(DRAWN * 125)
     for s in range(begin, end):
-        n, best, plane = _drawn(cells, owner, counts, near[s], room), 0, planes[s]
+        n, best, plane = _drawn(cells, owner, counts, near[s], seeds[s], room, far), 0, planes[s]
         if n < LEAST_TRIAL:
             continue
         x, y, z = room[0, :n], room[1, :n], room[2, :n]
@@ -374,7 +386,7 @@ def _try_planes(
             vx, vy, vz = x[c] - x[a], y[c] - y[a], z[c] - z[a]
             nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
             area = math.sqrt(nx * nx + ny * ny + nz * nz)
-            if area <= least_area:
+            if area <= 0.5 * edge**2:
                 continue
             nx, ny, nz = nx / area, ny / area, nz / area
             offset, votes = x[a] * nx + y[a] * ny + z[a] * nz, 0
