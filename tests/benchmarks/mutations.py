@@ -100,7 +100,6 @@ FAULTS = (
     ("plane_search", "moments[0, 0] < 1.5 * beside", "moments[0, 0] < 0 * beside",
      "test_lines_edges.py"),
     ("lines", "math.sqrt(px * px", "math.sqrt(0 * px", "test_lines.py"),
-    ("lines", "USUAL_CHANGE = 0.06, 0.05", "USUAL_CHANGE = 0.06, 0.002", "test_lines_lhd.py"),
     ("lines", "np.fmax(there.perp", "np.fmin(there.perp",
      "test_lines_lhd.py"),
     ("tender", "sign * (rank - limit)", "sign * (limit - rank)", "test_tender.py"),
