@@ -6,6 +6,7 @@ band. The measures themselves are in :mod:`mmqa_lab.mtf` and :mod:`mmqa_lab.radi
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -246,7 +247,7 @@ def _interval(name, unit, value, reach):
     return {f"{name}{unit}": value} | ends
 
 
-OF_TARGETS = {
+OF_TARGETS: dict[str, tuple[tuple[str, ...], Callable]] = {
     "edge": (REGION, partial(_each, fit=_edge)),
     "star": (("x_px", "y_px", "radius_px", "cycles"), partial(_each, fit=_star)),
     "sharpness": ((), _sharpness),
