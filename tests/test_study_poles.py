@@ -203,6 +203,15 @@ def test_pillars_of_gates_are_no_poles():
     assert poles.score(found, pillars).recall.k <= 1
 
 
+def test_a_street_is_driven_once_whatever_is_asked_of_it(surveyed, monkeypatch):
+    monkeypatch.setattr(streets, "drive", None)
+    both, known = study.scene(seed=5001, length=60.0, speed=14.0, both_ways=True)
+    again, same = study.scene(seed=5001, length=60.0, speed=14.0)
+    assert again is surveyed[0]
+    assert len(both) > len(again)
+    assert known["street"] is same["street"]
+
+
 def test_a_small_training_reproduces_itself():
     trees = [learned.grow(*training.lessons([1]), rounds=4) for _ in range(2)]
     assert all(np.array_equal(*parts) for parts in zip(*trees, strict=True))

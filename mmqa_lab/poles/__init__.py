@@ -7,7 +7,7 @@
     result.recall, result.precision
 
 ``fgi`` follows scan lines (Lehtomaki et al. 2010), ``itc`` connected components (Pu et al. 2011).
-``learned`` uses 24 named measures and 150 small trees, and 20 trees of two leaves calibrate it.
+``learned`` uses 24 named measures and 200 small trees, and 20 trees of two leaves calibrate it.
 
 A pole is an upright shaft (tilt at most 12 degrees) of 1 m or more that stands free, at least six
 times as high as wide with what it carries: lamps, signs, masts, trunks and slender bollards are

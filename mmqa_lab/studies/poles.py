@@ -51,11 +51,18 @@ PRINTED = (
 """Printed rates: method, quantity, corridor (m), class, cell, counts k and n, their source."""
 
 
-@lru_cache(maxsize=10)
+@lru_cache(maxsize=12)
+def _driven(seed, plan, scanner, length, speed):
+    """A street, its trajectory and its cloud."""
+    made = streets.street(plan, length=length, seed=seed)
+    cloud = streets.drive(made, scanner, seed=seed, speed=speed)
+    return made, made.trajectory(speed), cloud
+
+
 def scene(
     *, seed, plan="table-4-1", scanner="roamer", length=100.0, speed=30 / 3.6, both_ways=False
 ):
-    """Return the cloud of a simulated street, and its truth; the last ten are cached.
+    """Return the cloud of a simulated street, and its truth; the last twelve streets are kept.
 
     Parameters
     ----------
@@ -72,9 +79,7 @@ def scene(
         Truth: ``targets`` (:func:`mmqa_lab.simulate.streets.visible_targets`), ``path`` (m, 3),
         ``street``, ``poles`` and ``visible`` (their numbers).
     """
-    made = streets.street(plan, length=length, seed=seed)
-    there = made.trajectory(speed)
-    cloud = streets.drive(made, scanner, seed=seed, speed=speed)
+    made, there, cloud = _driven(seed, plan, scanner, length, speed)
     targets = streets.visible_targets(made, cloud)
     if both_ways:
         turned = {"heading": there.heading + 180.0, "pitch": -there.pitch}
