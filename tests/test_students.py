@@ -178,6 +178,26 @@ def test_answers_by_number_need_only_the_statements_that_lead_to_them():
     assert not {"slow", "extra"} & set(scope)
 
 
+def test_names_that_drawings_use_again_lead_to_no_drawing():
+    cells = [
+        "import math as plt\nrows = [1, 2]\nax = missing",
+        "for bars in ax.containers:\n    plt.setp(bars)",
+        "total = sum(row for row in rows)",
+        "for rows, row in missing:\n    total = ax",
+    ]
+    kept = students.needed_statements([*cells[:3], "answer = total"], {"answer"})
+    sums = "total = sum((row for row in rows))"
+    assert kept == ["import math as plt", "rows = [1, 2]", sums, "answer = total"]
+
+
+def test_an_answer_is_worked_out_where_it_stands(squares):
+    notebook = nbformat.read(squares.path, as_version=4)
+    notebook.cells.append(nbformat.v4.new_code_cell("for side in (99,):\n    side += 1"))
+    nbformat.write(notebook, squares.path)
+    table = students.answer_table(squares, quick=True)
+    assert table.to_numpy(dtype=float).tolist() == [[n, 3 * n] for n in range(1, 31)]
+
+
 def test_words_of_the_glossary_are_the_notebooks_own():
     rows = pd.read_csv(TEMPLATES / "glossary.csv").to_dict("records")
     assert all(isinstance(word, str) for row in rows for word in row.values())

@@ -13,6 +13,7 @@ import ast
 import json
 import os
 import re
+import symtable
 import tempfile
 import textwrap
 from concurrent.futures import ThreadPoolExecutor
@@ -25,7 +26,14 @@ from nbconvert.preprocessors import ClearOutputPreprocessor
 from tqdm.auto import tqdm
 
 from mmqa_lab.io import write_atomically
-from mmqa_lab.run.exercises import NUMBER, answer_parts, check_answer, names_in, student_cell
+from mmqa_lab.run.exercises import (
+    NUMBER,
+    NUMBERS,
+    answer_parts,
+    check_answer,
+    names_in,
+    student_cell,
+)
 from mmqa_lab.run.notebooks import execute, inject
 from mmqa_lab.run.pages import notebook_page
 
@@ -36,6 +44,8 @@ __all__ = [
 
 # The notebook's words on the number, replaced in copies, where the student sets it.
 SET_HERE = re.compile(r"the (notebook|next cell) sets it")
+
+IMPORTS = (ast.Import, ast.ImportFrom)
 
 
 def _exercise(source):
@@ -162,7 +172,7 @@ def write_solutions(studies, folder, *, quick=False):
 def answer_table(study, *, quick=False):
     """Return the numeric answers for each number of the class.
 
-    The statements that the solutions need are run, then each solution is run with each number.
+    The statements that the solutions need are run, and each solution at its place with each number.
 
     Parameters
     ----------
@@ -183,31 +193,38 @@ def answer_table(study, *, quick=False):
     notebook = nbformat.read(study.path, as_version=4)
     if quick:
         inject(notebook, study.quick)
-    parts = [answer_parts(cell.source) for cell in notebook.cells if "solution" in _tags(cell)]
-    parts = [part for part in parts if NUMBER in names_in(part[1], ast.Load)]
-    tasks = {number: (work, answers) for number, work, answers, _ in parts}
-    given = [cell for cell in notebook.cells if cell.cell_type == "code"]
-    given = [cell.source for cell in given if "solution" not in _tags(cell)]
-    given = needed_statements(
-        given, {name for part in parts for name in names_in(part[1], ast.Load)}
-    )
-    call = f"from mmqa_lab.run.exercises import work_out\nprint(work_out({tasks!r}, globals()))"
-    notebook.cells = [nbformat.v4.new_code_cell(text) for text in (*given, call)]
+    cells, kept = [], []
+    for cell in (cell for cell in notebook.cells if cell.cell_type == "code"):
+        if "solution" not in _tags(cell):
+            cells.append(cell.source)
+            continue
+        task, work, answers, _ = answer_parts(cell.source)
+        if NUMBER in names_in(work, ast.Load):
+            kept.append(f"answers_{len(kept)}")
+            needed = ", ".join(sorted(_given_names(work) - {NUMBER}))
+            cells.append(
+                f"{kept[-1]} = [{needed}], work_out({ {task: (work, answers)}!r}, globals())"
+            )
+    cells = ["from mmqa_lab.run.exercises import work_out", *needed_statements(cells, set(kept))]
+    cells.append(f"print('[' + ', '.join(one for _, one in [{', '.join(kept)}]) + ']')")
+    notebook.cells = [nbformat.v4.new_code_cell(text) for text in cells]
     tail = notebook.cells[-1]
     with tempfile.TemporaryDirectory() as folder:
         failure = execute(notebook, study.path.parent, results=folder)
     if failure:
         cause = f"{study.notebook}.ipynb: {failure}"
         raise ValueError(f"Invalid notebook {cause}. Must run to its end.")
-    table = pd.DataFrame(json.loads(tail.outputs[-1]["text"]))
-    return table.dropna(axis=1, thresh=2)
+    found = [pd.DataFrame(rows).set_index("n") for rows in json.loads(tail.outputs[-1]["text"])]
+    numbers = pd.DataFrame(index=pd.Index(NUMBERS, name="n"))
+    return pd.concat([numbers, *found], axis=1).dropna(axis=1, thresh=2).reset_index()
 
 
 def needed_statements(cells, names):
     """Return the statements of a notebook's cells that names need, in their order.
 
-    A statement is needed if it sets a needed name, changes what the name stands for, or draws from
-    a needed random generator. What it reads is needed, too.
+    A statement is needed if, of those before the names are read, it sets a needed name, changes
+    what the name stands for, or draws from a needed random generator. What it reads is needed, too,
+    and what a function reads where the function is. Calls change no module.
 
     Parameters
     ----------
@@ -226,32 +243,63 @@ def needed_statements(cells, names):
     """
     bodies = [ast.parse(TransformerManager().transform_cell(text)).body for text in cells]
     rows = [(node, ast.unparse(node), *_names_of(node)) for body in bodies for node in body]
-    drawn = {name for _, text, _, done in rows if "default_rng" in text for name in done}
-    wanted, before = set(names), -1
-    while len(wanted) > before:
-        before = len(wanted)
-        kept = [
-            isinstance(node, ast.Import | ast.ImportFrom)
-            or (bool(wanted & (done | (named & drawn))) and not text.startswith("run."))
-            for node, text, named, done in rows
-        ]
-        wanted |= {name for row, take in zip(rows, kept, strict=True) if take for name in row[2]}
-    return [row[1] for row, take in zip(rows, kept, strict=True) if take]
+    tools = {name for node, *_, done in rows if isinstance(node, IMPORTS) for name in done}
+    reads = {node.name: read for node, _, read, _ in rows if isinstance(node, ast.FunctionDef)}
+    parts = [part for node, *_ in rows for part in ast.walk(node) if isinstance(part, ast.Assign)]
+    calls = [part for part in parts if isinstance(part.value, ast.Call)]
+    random = [part for part in calls if ast.unparse(part.value.func).endswith("default_rng")]
+    drawn, kept, wanted, more = set().union(*map(_set_by, random)), [], set(), set(names)
+    for node, text, read, done in reversed(rows):
+        while more - wanted:
+            wanted |= more
+            more = set().union(*(reads[name] for name in wanted & reads.keys()))
+        needed = wanted & (done - tools | read & drawn) and not text.startswith("run.")
+        if needed or isinstance(node, IMPORTS):
+            kept.append(text)
+            wanted -= _set_by(node)
+            more = read
+    return kept[::-1]
+
+
+def _set_by(node):
+    """The names that an assignment surely sets."""
+    places = node.targets if isinstance(node, ast.Assign) else []
+    names = [part for place in places for part in ast.walk(place) if isinstance(part, ast.Name)]
+    return {name.id for name in names if isinstance(name.ctx, ast.Store)}
+
+
+def _given_names(code):
+    """The names that code reads before it sets them."""
+    given, known = set(), set()
+    for node in ast.parse(code).body:
+        read, done = _names_of(node)
+        given, known = given | (read - known), known | done
+    return given
 
 
 def _names_of(node):
-    """The names in a statement, and those that it sets or whose objects it changes."""
-    parts = list(ast.walk(node))
-    names = [part for part in parts if isinstance(part, ast.Name)]
-    done = {part.id for part in names if isinstance(part.ctx, ast.Store)}
-    done |= {part.name for part in parts if isinstance(part, ast.FunctionDef | ast.ClassDef)}
+    """The names that a statement reads, and those that it sets or whose objects it changes.
+
+    What it binds itself before it reads it is not read: loop variables and all that is local.
+    """
+    parts, whole = list(ast.walk(node)), symtable.symtable(ast.unparse(node), "", "exec")
+    symbols, tables = whole.get_symbols(), whole.get_children()
+    done = {one.get_name() for one in symbols if one.is_assigned() or one.is_imported()}
+    read = {one.get_name() for one in symbols if one.is_referenced()}
+    for table in tables:  # functions and comprehensions, and those within
+        tables += table.get_children()
+        read |= {one.get_name() for one in table.get_symbols() if one.is_global()}
+    loops = [part.target for part in parts if isinstance(part, ast.For)]
+    read -= {name.id for loop in loops for name in ast.walk(loop) if isinstance(name, ast.Name)}
+    grown = [part.target for part in parts if isinstance(part, ast.AugAssign)]
+    read |= {place.id for place in grown if isinstance(place, ast.Name)}
     places = [part for part in parts if isinstance(getattr(part, "ctx", None), ast.Store)]
     calls = [part.value for part in parts if isinstance(part, ast.Expr)]
     for place in places + [call.func for call in calls if isinstance(call, ast.Call)]:
         while isinstance(place, ast.Attribute | ast.Subscript):
             place = place.value
             done |= {place.id} if isinstance(place, ast.Name) else set()
-    return {part.id for part in names}, done
+    return read, done
 
 
 def _tags(cell):
