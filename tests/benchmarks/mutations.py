@@ -106,6 +106,7 @@ FAULTS = (
     ("poles", "gaps = np.minimum(np.diff(used), 2 * ROOF_WINDOW)", "gaps = np.diff(used)",
      "test_poles.py"),
     ("poles", "size.prod() > MOST_GROUND_CELLS", "False", "test_poles.py"),
+    ("poles", "order[rank < 3]", "order[rank < 1]", "test_poles.py"),
     ("poles", "unclear.any()", "False", "test_poles_scores.py"),
     ("poles", "upright.mean() > 0.5", "False", "test_poles.py"),
     ("poles", "> TALL_M:", "> 1e9:", "test_poles.py"),
