@@ -193,6 +193,9 @@ def test_names_that_drawings_use_again_lead_to_no_drawing():
 def test_an_answer_is_worked_out_where_it_stands(squares):
     notebook = nbformat.read(squares.path, as_version=4)
     notebook.cells.append(nbformat.v4.new_code_cell("for side in (99,):\n    side += 1"))
+    solution = next(c for c in notebook.cells if "solution" in c.metadata.get("tags", []))
+    caught = "try:\n    int('x')\nexcept ValueError as error:\n    said = str(error)\n# check\n"
+    solution.source = solution.source.replace("# check\n", caught)
     nbformat.write(notebook, squares.path)
     table = students.answer_table(squares, quick=True)
     assert table.to_numpy(dtype=float).tolist() == [[n, 3 * n] for n in range(1, 31)]

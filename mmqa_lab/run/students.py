@@ -202,9 +202,8 @@ def answer_table(study, *, quick=False):
         if NUMBER in names_in(work, ast.Load):
             kept.append(f"answers_{len(kept)}")
             needed = ", ".join(sorted(_given_names(work) - {NUMBER}))
-            cells.append(
-                f"{kept[-1]} = [{needed}], work_out({ {task: (work, answers)}!r}, globals())"
-            )
+            call = f"work_out({ {task: (work, answers)}!r}, globals())"
+            cells.append(f"{kept[-1]} = (lambda: [{needed}]), {call}")  # names, not looked up
     cells = ["from mmqa_lab.run.exercises import work_out", *needed_statements(cells, set(kept))]
     cells.append(f"print('[' + ', '.join(one for _, one in [{', '.join(kept)}]) + ']')")
     notebook.cells = [nbformat.v4.new_code_cell(text) for text in cells]
