@@ -156,7 +156,7 @@ def test_what_is_hidden_is_said_and_moves_no_figure(name):
     [
         (0.5, 5.5, 0.5, 2),
         (0.5, 12.0, 1.5, 2),  # its targets cannot be decoded
-        (3.0, 6.5, 0.5, 2),  # nor those of the larger one
+        (4.0, 5.0, 0.5, 2),  # only those of the smaller one can
         (0.5, 40.0, 0.5, 1),  # a chart of 25 pixels is not seen
     ],
 )
