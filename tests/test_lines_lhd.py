@@ -1,5 +1,6 @@
 """Correspondence, scores, the Hausdorff distance and the displaced matcher."""
 
+import re
 import warnings
 
 import numpy as np
@@ -359,5 +360,13 @@ def test_many_weak_pairs_are_no_displacement():
     """Equal windows pair by chance a third of the lines, each pair badly."""
     test, model, _, _ = window_rows.scene(304, share=0.3, length=25.0, drift=0.2)
     assert np.isnan(match_displaced(test + [0, 7.0, 5.0], model).vector).all()
-    with pytest.warns(UserWarning, match="No displacement unites more lines"):
-        assert lhd(test + [0, 7.0, 5.0], model, matcher="displaced").matcher == "fragments"
+    with pytest.warns(UserWarning, match="Matcher 'fragments' is used"):
+        found = lhd(test + [0, 7.0, 5.0], model, matcher="displaced")
+    assert found.matcher == "fragments"
+    reason = match_displaced(test + [0, 7.0, 5.0], model).remark
+    assert reason
+    assert reason in found.remarks
+    compared = lines.compare({"A": test + [0, 7.0, 5.0], "B": model}, matcher="displaced")[
+        "remarks"
+    ]
+    assert compared.str.count(re.escape(reason)).eq(1).all()

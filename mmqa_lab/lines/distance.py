@@ -296,7 +296,7 @@ def lhd(
     -----
     UserWarning
         If a set is empty, a threshold is a fallback, fewer than five pairs remain, or ``displaced``
-        was replaced by ``fragments``.
+        pairs few of the lines, or none and is replaced by ``fragments``.
 
     See Also
     --------
@@ -329,22 +329,20 @@ def lhd(
     check_choice(norm, "norm", ("pairs", "all"))
     test, model = check_segments(test, "test"), check_segments(model, "model")
     settings = {"weight": weight, "rotate": rotate, "within": within, "norm": norm}
-    settings["threshold"], asked = threshold, matcher
+    settings["threshold"], doubts = threshold, []
     if pairs is not None:
         pairs = check_pairs(pairs, (len(test), len(model)))
     elif matcher == "displaced":
-        pairs = match_displaced(test, model, radius=radius).pairs
+        moved = match_displaced(test, model, radius=radius)
+        pairs, doubts = moved.pairs, [moved.remark] if moved.remark and moved.pairs.size else []
         if pairs.size and not pairs.any():
             pairs, matcher = None, "fragments"
+            doubts += ["Matcher 'fragments' is used."]
     there = _one_way(test, model, matcher=matcher, pairs=pairs, **settings)
     turned = None if pairs is None else pairs.T
     back = _one_way(model, test, matcher=matcher, pairs=turned, **settings)
     back = replace(back, pairs=back.pairs.T)
-    remarks = _doubts(test, model, there, back)
-    if matcher != asked:
-        remarks.append(
-            "No displacement unites more lines than chance. Matcher 'fragments' is used."
-        )
+    remarks = [*_doubts(test, model, there, back), *doubts]
     for remark in remarks:
         warnings.warn(remark, stacklevel=2)
     return LHD(weight, matcher, there, back, test, model, remarks)
@@ -472,6 +470,8 @@ def _compared(names, sets, radius, choices):
         table[f"displacement_{axis}_m"] = moved.vector[k]
         table[f"sigma_{axis}_m"] = np.sqrt(moved.covariance[k, k])
     table["displaced_pairs"] = moved.n
+    if moved.remark and moved.remark not in remarks:
+        remarks = [*remarks, moved.remark]
     if not np.isfinite(moved.vector).all():
         remarks = [*remarks, "No displacement: too few lines agree, or all of them are parallel."]
     return table.assign(remarks=" ".join(remarks))
