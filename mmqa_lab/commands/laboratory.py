@@ -216,7 +216,7 @@ def _run_studies(run_study, studies, folder, quick, workers):
             bar.set_postfix_str(", ".join(names[:workers]))
             done, waiting = wait(waiting, timeout=1, return_when=FIRST_COMPLETED)
             bar.update(len(done))
-            for task in done:
+            for task in sorted(done, key=[*tasks].index):
                 bar.clear()
                 yield tasks[task], task.result()
         bar.close()
