@@ -151,6 +151,20 @@ def test_what_is_hidden_is_said_and_moves_no_figure(name):
         assert not unseen or sigma * shot.length(bars[0]) > 0.5 * size  # half a pixel of the length
 
 
+def test_a_leaf_on_one_pattern_alone_costs_no_finer_one():
+    """The white around the pattern is free, so only finer patterns tell that it is hidden."""
+    shot = shoot(CHART, 4.0, seed=2)
+    there = chart_image.locate(grey(shot.image), CHART)
+    image = shot.linear.copy()
+    leaf = shot.pixels(CHART["pairs_h_30"].corners()).round().astype(np.int32)
+    cv2.fillPoly(image, [leaf], (float(np.median(image)),) * 3)
+    quality = chart_image.evaluate_image(image, CHART, there)
+    assert quality.remarks == ["hidden: pairs_h_30"]
+    open_view = chart_image.evaluate_image(shot.linear, CHART, there)
+    assert quality.resolution("h") == open_view.resolution("h")
+    assert quality.resolution("h").width_mm < 30
+
+
 @pytest.mark.parametrize(
     ("blur", "other_mm", "other_blur", "seen"),
     [
