@@ -290,7 +290,8 @@ def map_campaign(
     run = {"cell": cell, "radius": radius, "tile": tile, "files": files}
     own, kept = Path(folder).resolve() / OWN, _record(folder)
     if kept and {name: kept.get(name) for name in run} != run:
-        raise ValueError(f"Invalid folder {folder}: of other files or parameters. Must be empty.")
+        found = f"{OWN} in it is a map of other files or parameters"
+        raise ValueError(f"Invalid folder {folder}: {found}. Must be another, or without {OWN}.")
     if kept:
         count = len(kept["tiles"])
         there = count - len(_missing(own, kept))

@@ -103,7 +103,7 @@ def test_tiles_are_one_cloud(campaign):
     assert int(found["n"].sum()) == 6000
     for name in maps.FIGURES:
         np.testing.assert_allclose(found[name], expected[name], atol=2e-6, err_msg=name)
-    with pytest.raises(ValueError, match="of other files or parameters"):
+    with pytest.raises(ValueError, match="mmqa_map in it is a map of other files or parameters"):
         maps.map_campaign(paths, run, cell=0.25, tile=4)
 
 
