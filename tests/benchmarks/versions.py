@@ -134,7 +134,7 @@ CASES = {
         call = lambda: lhd(one, other)
         """,
     ),
-    "poles, learned (m of a street of 10,000 points/m)": (
+    "poles, learned (m of a street of 10,000 pulses/m)": (
         (50, 150, 500),
         "5 million points 8 s",
         """
