@@ -4,11 +4,13 @@ import ast
 import re
 
 import nbformat
+import pandas as pd
 import pytest
 from conftest import loaded, stored
 from IPython.core.inputtransformer2 import TransformerManager
 
-from mmqa_lab.studies import STUDIES, TOOLS
+from mmqa_lab.run.notebooks import execute
+from mmqa_lab.studies import STUDIES, TOOLS, notebooks_folder
 
 DONE = {
     "chart_tables", "repeatability", "anisotropy", "lhd_weight", "mimic", "test_field",
@@ -66,6 +68,16 @@ def faults(notebook):
 @pytest.mark.parametrize("study", ALL, ids=lambda study: study.stem)
 def test_one_idea_a_cell_and_a_sentence_for_each_figure(study):
     assert list(faults(nbformat.read(study.path, as_version=4))) == []
+
+
+def test_the_template_has_the_form_and_runs(tmp_path):
+    path = notebooks_folder() / "template/NN_template.ipynb"
+    template = nbformat.read(path, as_version=4)
+    assert list(faults(template)) == []
+    assert execute(template, path.parent, results=tmp_path) == ""
+    checks = pd.read_csv(tmp_path / "template/checks.csv")
+    assert len(checks) == 2
+    assert checks["passed"].all()
 
 
 def test_what_has_not_the_form_is_found():
