@@ -82,7 +82,7 @@ def test_ones_own_cloud_from_file_to_report(ran, lab_folder):
     line = page.locator(".widget-html", has_text="points/m²").first
     expect(line).to_be_visible(timeout=RUN_MS)
     expect(page.get_by_text("report.html").last).to_be_visible(timeout=RUN_MS)
-    assert page.get_by_text("Traceback").count() == 0
+    assert page.locator(".jp-OutputArea").get_by_text("Traceback").count() == 0
     results = lab_folder.parent / "results" / TOOLS[0].stem
     assert read_polygon(results / "selection.geojson").shape == (4, 3)
     assert (results / "report.html").is_file()
