@@ -18,16 +18,17 @@ from numpy.typing import ArrayLike
 from mmqa_lab import stats
 from mmqa_lab._checks import check_choice, check_number, check_points, check_polygon, check_positive
 from mmqa_lab._results import Shown, sentences
-from mmqa_lab.planes import CONSISTENT_SCALE, Plane, fit_plane, sigma_mad
+from mmqa_lab.planes import CONSISTENT_SCALE, Plane, checked_plane, sigma_mad
 from mmqa_lab.spacing import (
     FEWEST_POINTS,
     DirectionalSpacing,
     EmptySpace,
     Spacing,
+    block_numbers,
+    checked_spacing,
     empty_space,
     exempt,
     line_parts,
-    quadrants,
 )
 
 if TYPE_CHECKING:
@@ -474,12 +475,12 @@ def evaluate_cloud(
                 f"nearest point of the cloud is {away:.3g} m from its centre."
             )
         points = points[inside]
-    plane = fit_plane(points)
+    plane = checked_plane(points)
     if axes is None:
         axes = "horizontal" if abs(plane.normal[2]) < UPRIGHT_COSINE else "principal"
     framed = replace(plane, axes=_directions(plane, axes))
     xy = framed.project(points)
-    gaps = quadrants(xy, radius=radius)
+    gaps = checked_spacing(xy, radius)
     hull = shapely.convex_hull(shapely.linestrings(xy))
     outline = hull if polygon is None else _outline(polygon, framed, surface.normal)
     sigma_mad_mm = 1000 * sigma_mad(plane.residuals, scale)
@@ -673,7 +674,7 @@ def _remark_on_form(xy, residuals_mm, step_mm, scale):
             f"The surface is bent: its form is {100 * share:.0f} % of the variance of the "
             f"distances. Without it sigma_MAD is {sigma_mad(rest, scale):.1f} mm."
         ]
-    block = stats.block_numbers(xy, side=int(min(8, (len(xy) / 8) ** 0.5)))
+    block = block_numbers(xy, side=int(min(8, (len(xy) / 8) ** 0.5)))
     counts = np.maximum(np.bincount(block), 1)
     within = residuals_mm - (np.bincount(block, residuals_mm) / counts)[block]
     # the means of the blocks take a part of the noise
@@ -719,7 +720,7 @@ def _selected(points, polygon, thickness):
     """The vertices of a polygon, the mask of its points, and its plane."""
     thickness = check_positive(thickness, "thickness", unit="m")
     vertices = check_polygon(polygon)
-    plane = fit_plane(vertices)
+    plane = checked_plane(vertices)
     off_mm = 1000 * np.abs(plane.residuals).max()
     if off_mm > 500 * thickness:
         raise ValueError(

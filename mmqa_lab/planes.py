@@ -148,7 +148,11 @@ def fit_plane(points: ArrayLike, *, robust: bool = False) -> Plane:
     >>> plane.normal.tolist(), plane.std
     ([0.0, 0.0, 1.0], 0.0)
     """
-    points = check_points(points, minimum=3)
+    return checked_plane(check_points(points, minimum=3), robust)
+
+
+def checked_plane(points, robust=False):
+    """The plane of points that are checked."""
     origin, centre, (normal, _, first) = _principal_axes(points, robust)
     axes = np.array([first, np.cross(normal, first)])
     return Plane(origin + centre, normal, axes, (points - origin - centre) @ normal)
@@ -184,8 +188,8 @@ def flat_points(points: ArrayLike, *, minimum: int = 1) -> np.ndarray:
     """
     if np.shape(points)[1:] != (3,):
         return check_points(points, name="xy", columns=2, minimum=minimum)
-    points = check_points(points, name="xy", minimum=minimum)
-    return fit_plane(points).project(points)
+    points = check_points(points, name="xy", minimum=max(minimum, 3))
+    return checked_plane(points).project(points)
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,6 @@ __all__ = [
     "Errors",
     "Interval",
     "Rate",
-    "block_numbers",
     "bootstrap",
     "errors",
     "mean_reach",
@@ -284,33 +283,6 @@ def bootstrap(
     return Interval(float(statistic(*arrays)), float(low), float(high))
 
 
-def block_numbers(xy: ArrayLike, *, side: int = 4) -> np.ndarray:
-    """Number the points by the square blocks of a grid over them.
-
-    Parameters
-    ----------
-    xy : array_like, shape (n, 2)
-        Coordinates in a plane.
-    side : int
-        Blocks along each axis.
-
-    Returns
-    -------
-    array of int, shape (n,)
-        0 to side^2 - 1.
-
-    Examples
-    --------
-    >>> block_numbers([[0, 0], [4, 0], [4, 4]], side=2).tolist()
-    [0, 2, 3]
-    """
-    xy = np.asarray(xy, dtype=np.float64)
-    low, extent = xy.min(axis=0), np.ptp(xy, axis=0)
-    place = (xy - low) / np.where(extent > 0, extent, 1) * side
-    column, row = np.minimum(place.astype(np.int64), side - 1).T
-    return column * side + row
-
-
 def order_parts(xy: ArrayLike, direction: float) -> np.ndarray:
     """Number the points by their order across a direction and along it, for slow waves.
 
@@ -360,7 +332,7 @@ def mean_reach(values: ArrayLike, block: ArrayLike) -> float:
     ----------
     values : array_like, shape (n,)
     block : array_like of int, shape (n,), (2, n) or (4, n)
-        The block of each value, see :func:`block_numbers`, or one or two pairs of
+        The block of each value, see :func:`mmqa_lab.spacing.block_numbers`, or one or two pairs of
         :func:`order_parts`.
 
     Returns
@@ -394,7 +366,7 @@ def median_interval(values: ArrayLike, block: ArrayLike) -> tuple[float, float]:
     values : array_like, shape (n,)
         NaN if not measurable; infinity is a large value.
     block : array_like of int, shape (n,), (2, n) or (4, n)
-        The block of each value, see :func:`block_numbers`, or one or two pairs of
+        The block of each value, see :func:`mmqa_lab.spacing.block_numbers`, or one or two pairs of
         :func:`order_parts`.
 
     Returns

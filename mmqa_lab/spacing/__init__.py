@@ -25,13 +25,7 @@ import shapely
 from numpy.typing import ArrayLike
 
 from mmqa_lab import stats
-from mmqa_lab._checks import (
-    check_count,
-    check_number,
-    check_points,
-    check_positive,
-    check_values,
-)
+from mmqa_lab._checks import check_count, check_number, check_points, check_positive, check_values
 from mmqa_lab._results import Shown
 from mmqa_lab.planes import flat_points
 
@@ -39,17 +33,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __all__ = [
-    "DirectionalSpacing",
-    "EmptySpace",
-    "Spacing",
-    "directional",
-    "empty_space",
-    "exempt",
-    "poisson_spacing",
-    "quadrant_distances",
-    "quadrants",
-    "turned_f",
-]
+    "DirectionalSpacing", "EmptySpace", "Spacing", "directional", "empty_space", "exempt",
+    "poisson_spacing", "quadrant_distances", "quadrants", "turned_f",
+]  # fmt: skip
 __dir__ = __all__.copy
 
 STEP_DEG = 4.0
@@ -64,8 +50,11 @@ MOST_DIRECTED = 100_000
 AT_ONCE = 1_000_000
 """Number of neighbours that are searched together; it limits the memory."""
 
-FEW_FOR_SCIPY = 30_000
-"""Total number of points searched by scipy before numba is imported, which takes as long."""
+FEW_FOR_SCIPY = 10_000
+"""Most points that scipy searches while numba is not imported, which would take longer."""
+
+PER_THREAD = 30_000
+"""Number of points that a thread of scipy searches."""
 
 CHANCE = 3.2
 """95 % of random patterns of n points have a g below 1 + CHANCE / sqrt(n)."""
@@ -235,19 +224,20 @@ def quadrant_distances(
     array([0.1, 0.3, 0.4, nan])
     """
     xy = flat_points(xy)
-    of = np.ones(len(xy), dtype=bool) if of is None else np.asarray(of)
+    of = np.asarray(np.ones(len(xy), dtype=bool) if of is None else of)
     if of.dtype != bool or of.shape != (len(xy),):
         raise ValueError(
             f"Invalid of, {of.dtype} of shape {of.shape}. Must be bool of shape ({len(xy)},)."
         )
-    return _distances(xy, radius, angle, of)
+    return checked_spacing(xy, radius, angle, of).distances
 
 
-def _distances(xy, radius, angle, of):
-    """Quadrant distances of points that are checked, NaN for those not asked for."""
+def checked_spacing(xy, radius, angle=0.0, of=None):
+    """The Spacing of coordinates in a plane that are checked; NaN for points not asked for."""
     radius = check_positive(radius, "radius", unit="m")
-    angle = check_number(angle, "angle", unit="degrees")
-    return _nearest_per_quadrant(_turned(xy, angle), radius, of)
+    turned = _turned(xy, check_number(angle, "angle", unit="degrees"))
+    of = np.ones(len(xy), dtype=bool) if of is None else of
+    return Spacing(xy, _nearest_per_quadrant(turned, radius, of))
 
 
 def quadrants(xy: ArrayLike, *, radius: float = 0.5, angle: float = 0.0) -> Spacing:
@@ -293,8 +283,7 @@ def quadrants(xy: ArrayLike, *, radius: float = 0.5, angle: float = 0.0) -> Spac
     >>> found.d.round(3), round(found.f, 3), round(found.incomplete_share, 2)
     (array([0.02, 0.02, 0.04, 0.04]), 2.0, 0.4)
     """
-    xy = flat_points(xy)
-    return Spacing(xy, _distances(xy, radius, angle, np.ones(len(xy), dtype=bool)))
+    return checked_spacing(flat_points(xy), radius, angle)
 
 
 def exempt(d1: ArrayLike, d4: ArrayLike, rho0: float) -> np.ndarray:
@@ -672,6 +661,33 @@ def _to_border(places, outline, corner):
     return np.sqrt(found)
 
 
+def block_numbers(xy: ArrayLike, *, side: int = 4) -> np.ndarray:
+    """Number the points by the square blocks of a grid over them.
+
+    Parameters
+    ----------
+    xy : array_like, shape (n, 2)
+        Coordinates in a plane.
+    side : int
+        Blocks along each axis.
+
+    Returns
+    -------
+    array of int, shape (n,)
+        0 to side^2 - 1.
+
+    Examples
+    --------
+    >>> block_numbers([[0, 0], [4, 0], [4, 4]], side=2).tolist()
+    [0, 2, 3]
+    """
+    xy = np.asarray(xy, dtype=np.float64)
+    low, extent = xy.min(axis=0), np.ptp(xy, axis=0)
+    place = (xy - low) / np.where(extent > 0, extent, 1) * side
+    column, row = np.minimum(place.astype(np.int64), side - 1).T
+    return column * side + row
+
+
 def line_parts(xy: ArrayLike, found: DirectionalSpacing | None = None) -> np.ndarray:
     """Return the parts of the points' order across and along the scan lines, for intervals.
 
@@ -737,7 +753,7 @@ def turned_f(xy: ArrayLike, *, angles: ArrayLike, radius: float = 0.5) -> np.nda
     array([4., 4.])
     """
     xy, angles = flat_points(xy), np.atleast_1d(check_values(angles, "angles"))
-    return np.array([quadrants(xy, radius=radius, angle=float(angle)).f for angle in angles])
+    return np.array([checked_spacing(xy, radius, float(angle)).f for angle in angles])
 
 
 def _table(names, values, intervals):
@@ -758,16 +774,15 @@ def _turned(xy, angle):
     return (xy - xy.min(axis=0)) @ np.array([[c, -s], [s, c]])
 
 
-_searched = []  # numbers of points searched by scipy so far
-
-
 def _nearest_per_quadrant(xy, radius, of):
-    """The compiled search, or the search by scipy for few points while numba is not imported."""
-    if "numba" in sys.modules or sum(_searched) + len(xy) > FEW_FOR_SCIPY:
+    """The compiled search, or the search by scipy for few points while numba is not imported.
+
+    Both find the same distances, to the last bit.
+    """
+    if "numba" in sys.modules or len(xy) > FEW_FOR_SCIPY:
         from mmqa_lab.spacing._search import nearest_per_quadrant
 
         return nearest_per_quadrant(xy, radius, of)
-    _searched.append(len(xy))
     places, place = np.unique(xy, axis=0, return_inverse=True)
     found = _nearest_by_scipy(places, radius)[place]
     found[~of] = np.nan
@@ -800,7 +815,7 @@ def _nearest(xy, tree, rows, radius, reach, ranks, fold):
     while waiting:
         part, reach = waiting.pop()
         bound = radius * (1 + 1e-9)  # a little larger, since scipy compares squares
-        choices = {"distance_upper_bound": bound, "workers": 1 + len(part) // FEW_FOR_SCIPY}
+        choices = {"distance_upper_bound": bound, "workers": 1 + len(part) // PER_THREAD}
         _, other = tree.query(xy[rows[part]], np.arange(1, reach + 1), **choices)
         offset = places[other] - places[rows[part], None]
         away = np.sqrt(offset.real**2 + offset.imag**2)
