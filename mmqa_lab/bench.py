@@ -555,7 +555,6 @@ def compare(
     *,
     reference: str,
     better: str = "lower",
-    over: str = "cells",
 ) -> pd.DataFrame:
     """Return how much each method differs from a reference on the same data.
 
@@ -569,16 +568,13 @@ def compare(
         Name of the method to compare with.
     better : {"lower", "higher"}
         Whether lower or higher figures are better.
-    over : {"cells", "cases"}
-        The independent units: every case and seed, or only cases, each with the mean over its
-        seeds. Take cases if the question is how the methods differ on further cases.
 
     Returns
     -------
     DataFrame
         A row for each other method: ``method``, ``difference`` (mean of method minus reference),
         ``low`` and ``high`` (its 95 % confidence interval by Student's t over the paired
-        differences), ``n`` (pairs measured by both), ``missing`` (other pairs) and
+        differences of all cells), ``n`` (pairs measured by both), ``missing`` (other pairs) and
         ``better_share`` (share of pairs in which the method is strictly better). The names of the
         difference and its interval end with the unit of the figure.
 
@@ -596,16 +592,14 @@ def compare(
     [['new', -0.5, 1.0]]
     """
     figure = _figure(results, figure)
-    check_choice(over, "over", ("cells", "cases"))
     sign = {"lower": -1, "higher": 1}[check_choice(better, "better", ("lower", "higher"))]
-    values, cases = _by_method(results, figure)
+    values, _ = _by_method(results, figure)
     check_choice(reference, "reference", tuple(values))
     ending, rows = figure.removeprefix(split_unit(figure)[0]), []
     for method in values:
         if method == reference:
             continue
         pairs = pd.Series(values[method] - values[reference])
-        pairs = pairs if over == "cells" else pairs.groupby(cases).mean()
         mean, low, high, n = _t_interval(pairs.to_numpy())
         share = (sign * pairs.dropna() > 0).mean()
         rows.append((method, mean, low, high, n, len(pairs) - n, share))

@@ -538,22 +538,24 @@ class _Adjustment:
     def variance(self, values, path_std):
         """Variances of all parameters, and their degrees of freedom.
 
-        Each feature contributes its misfit from the mounting that all other features give
-        (cluster-robust, jackknife). The degrees of freedom of a variance are the number of features
-        that would have the same variance with equal shares.
+        V = sum_g u_g u_g' with u_g = N^-1 (I - N_g N^-1)^-1 J_g' r_g: each feature g contributes
+        its misfits r_g from the mounting that all other features give (CR3 of Bell and McCaffrey
+        2002, a jackknife). J_g are its slopes, N_g = J_g' J_g its part of the normal matrix N. The
+        degrees of freedom of a variance are the number of features that would have the same
+        variance with equal shares.
         """
         misfit, slopes, paths, of = self.system(values)
         self._refuse_open(slopes)
         starts = np.flatnonzero(np.diff(of, prepend=-1))
-        pulls = np.add.reduceat(slopes * misfit[:, None], starts)
-        own = np.array([part.T @ part for part in np.split(slopes, starts[1:])])
+        gradients = np.add.reduceat(slopes * misfit[:, None], starts)
+        normals = np.array([part.T @ part for part in np.split(slopes, starts[1:])])
         inverse = np.linalg.inv(slopes.T @ slopes)
-        others = np.eye(len(inverse)) - own @ inverse
-        effects = self.ways @ inverse @ np.linalg.solve(others, pulls[..., None])[..., 0].T
-        reach = self.ways @ inverse
-        share = np.einsum("ij,gjk,ik->gi", reach, own, reach)
-        of_paths = reach @ slopes.T @ (paths * np.tile(path_std, paths.shape[1] // 6))
-        of_points = (effects**2).sum(axis=1)
+        without = np.eye(len(inverse)) - normals @ inverse
+        influence = self.ways @ inverse @ np.linalg.solve(without, gradients[..., None])[..., 0].T
+        solver = self.ways @ inverse
+        share = np.einsum("ij,gjk,ik->gi", solver, normals, solver)
+        of_paths = solver @ slopes.T @ (paths * np.tile(path_std, paths.shape[1] // 6))
+        of_points = (influence**2).sum(axis=1)
         variance = of_points + (of_paths**2).sum(axis=1)
         with np.errstate(invalid="ignore"):  # of kept parameters
             students = share.sum(axis=0) ** 2 / (share**2).sum(axis=0)

@@ -37,7 +37,8 @@ from mmqa_lab._checks import (
 )
 from mmqa_lab._results import sentences
 from mmqa_lab.planes import fit_circle, fit_line
-from mmqa_lab.stats import block_numbers, errors, mean_reach
+from mmqa_lab.spacing import block_numbers
+from mmqa_lab.stats import errors, mean_reach
 
 __all__ = [
     "FEWEST_ON_CIRCLE", "POLE_SEARCH_M", "REPORT_SLICES", "SLICES", "compare_heights",
@@ -567,28 +568,44 @@ def _circle(xy, diameter):
     return *circle.centre, len(xy), ""
 
 
+class _NoCorner(Exception):
+    """The reason why points have no corner."""
+
+
 def _corner(xy):
     """The corner where two lines meet, number of points, and the reason if there is no corner."""
-    nothing = np.nan, np.nan, len(xy)
-    lines, rest = [], xy
-    for few in ("too few points", "one line"):
-        if len(rest) < FEWEST_ON_LINE:
-            return *nothing, few
-        lines.append(_line(rest))
-        rest = rest[np.abs(lines[-1].distances(rest)) > 2 * NEAR_LINE_M]
+    try:
+        return *_refined_corner(xy, _two_lines(xy)), ""
+    except _NoCorner as reason:
+        return np.nan, np.nan, len(xy), str(reason)
+
+
+def _two_lines(xy):
+    """The line with the most points near it, and the line of the points beside it."""
+    if len(xy) < FEWEST_ON_LINE:
+        raise _NoCorner("too few points")
+    first = _line(xy)
+    rest = xy[np.abs(first.distances(xy)) > 2 * NEAR_LINE_M]
+    if len(rest) < FEWEST_ON_LINE:
+        raise _NoCorner("one line")
+    return first, _line(rest)
+
+
+def _refined_corner(xy, lines):
+    """Where two lines meet that end there, and the number of points on them."""
     for _ in range(5):
         ways = np.stack([lines[0].direction, -lines[1].direction], axis=1)
         if abs(np.linalg.det(ways)) < np.sin(np.radians(30)):
-            return *nothing, "one line"
+            raise _NoCorner("one line")
         along = np.linalg.solve(ways, lines[1].centre - lines[0].centre)[0]
         corner = lines[0].centre + along * lines[0].direction
         sides = [_side(xy, corner, *pair) for pair in (lines, lines[::-1])]
         if min(side.sum() for side in sides) < FEWEST_ON_LINE:
-            return *nothing, "too few points"
+            raise _NoCorner("too few points")
         lines = [fit_line(xy[side], robust=True) for side in sides]
     if np.hypot(*corner) > 0.5:  # another corner
-        return *nothing, "no corner near"
-    return *corner, int(sum(side.sum() for side in sides)), ""
+        raise _NoCorner("no corner near")
+    return *corner, int(sum(side.sum() for side in sides))
 
 
 def _line(xy):

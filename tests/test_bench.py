@@ -258,14 +258,6 @@ def test_compare_is_the_paired_interval(results):
     assert higher["better_share"] == np.mean(parts[0] > parts[1])
 
 
-def test_compare_over_cases_takes_the_mean_of_seeds(results):
-    row = bench.compare(results, reference="std", over="cases").iloc[0]
-    values = results["value"].mean("seed")
-    pairs = (values.sel({"method": "mad"}) - values.sel({"method": "std"})).values.ravel()
-    interval = stats.ttest_1samp(pairs, 0).confidence_interval(0.95)
-    assert (row["low"], row["high"], row["n"]) == pytest.approx((interval.low, interval.high, 6))
-
-
 def test_compare_pairs_only_what_both_measured():
     methods = {"all": lambda n: n, "some": lambda n: n + 1 if n else math.nan}
     found = quietly(bench.grid(n=range(4)), methods, make=lambda n, seed: n)

@@ -25,7 +25,7 @@ from scipy import stats
 
 from mmqa_lab._checks import check_number
 from mmqa_lab._results import Shown, about
-from mmqa_lab.lines.pairing import Pairs, apart, levers
+from mmqa_lab.lines.pairing import apart, levers, paired
 from mmqa_lab.lines.segments import components, from_common_origin, lengths, midpoints
 from mmqa_lab.rotations import across
 
@@ -161,7 +161,7 @@ def fit_displacement(test: ArrayLike, model: ArrayLike, pairs: ArrayLike) -> Dis
     if len(np.unique(rows)) < 3:
         return unknown
     test, model = from_common_origin(test, model)
-    lines = Pairs(test, model, rows, columns)
+    lines = paired(test, model, rows, columns)
     solution = np.zeros(4)
     normal = np.einsum("nkd,nke->de", lines.frame, lines.frame)
     if np.linalg.eigvalsh(normal)[0] < 1e-3 * len(rows):
@@ -291,7 +291,7 @@ def _candidates(test, model, radius):
     off = np.linalg.norm(middles - middles[_together(middles)].mean(axis=0), axis=1)
     reach = radius + np.minimum(CHANGE * off, CHANGED_M)[:, None]
     near = parallel & (parts.perpendicular < reach) & (gap < reach)
-    return Pairs(test, model, *np.nonzero(near))
+    return paired(test, model, *np.nonzero(near))
 
 
 def _together(places):
@@ -466,7 +466,7 @@ def _refined(lines, start):
     moved, noise = start(lines.place), FIRST_NOISE_M
     off = lines.offset - np.einsum("nkd,nd->nk", lines.frame, moved)
     near = (off**2).sum(axis=1) < FINE_RADIUS_M**2
-    lines = Pairs(lines.test, lines.model, lines.rows[near], lines.columns[near])
+    lines = paired(lines.test, lines.model, lines.rows[near], lines.columns[near])
     moved = moved[near]
     outcome = 0.0, np.zeros(lines.shape, dtype=bool), 0.0
     for _ in range(10):
@@ -494,7 +494,7 @@ def _refined(lines, start):
 def _agreement(lines):
     """Log likelihood ratio of the gaps between the ends of paired lines, zero if they disagree."""
     half_t, half_m = lines.half
-    gaps = np.abs(np.stack([lines.s - half_t + half_m, lines.s + half_t - half_m]))
+    gaps = np.abs(np.stack([lines.along - half_t + half_m, lines.along + half_t - half_m]))
     agree = np.exp(-gaps / END_M) / END_M
     ratio = np.log(1 - ENDS_AGREE + ENDS_AGREE * agree / CLUTTER_ENDS_PER_M)
     return np.maximum(ratio.sum(axis=0), 0)

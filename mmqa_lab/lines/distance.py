@@ -21,10 +21,10 @@ from mmqa_lab._results import Shown
 from mmqa_lab.lines.displacement import Displacement, fit_displacement, match_displaced
 from mmqa_lab.lines.pairing import (
     MATCHERS,
-    Pairs,
     Threshold,
     check_pairs,
     correspond,
+    paired,
     peak_threshold,
 )
 from mmqa_lab.lines.segments import (
@@ -190,7 +190,7 @@ class LHD(Shown):
         if side is self.model_test:  # in the order of its parts
             columns, rows = np.nonzero(side.pairs.T)
         test, model = from_common_origin(self.test, self.model)
-        pairs = Pairs(test, model, rows, columns)
+        pairs = paired(test, model, rows, columns)
         moved = fit_displacement(self.test, self.model, side.pairs & truth)
         across = np.einsum("nkd,nd->nk", pairs.frame, moved.at(pairs.place))
         parts = side.parts

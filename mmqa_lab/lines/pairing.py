@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -25,6 +24,7 @@ __all__ = [
     "check_pairs",
     "correspond",
     "levers",
+    "paired",
     "pairing_scores",
     "peak_threshold",
 ]
@@ -169,7 +169,7 @@ def correspond(
     near = distances <= delta
     if matcher == "fragments":
         test, model = from_common_origin(np.asarray(test), np.asarray(model))
-        return apart(Pairs(test, model, *np.nonzero(near)), distances[near])
+        return apart(paired(test, model, *np.nonzero(near)), distances[near])
     if matcher == "all" or not near.any():
         return near
     if matcher == "hungarian":  # a cell at the threshold still counts
@@ -300,58 +300,85 @@ def check_pairs(pairs: ArrayLike, shape: tuple[int, int]) -> np.ndarray:
     return pairs
 
 
+UNKNOWN: Any = None
+"""What :meth:`Pairs.again` fills in."""
+
+
+@dataclass(frozen=True, eq=False)
 class Pairs:
     """Pairs of lines: ``rows`` of the test set with ``columns`` of the model set.
 
-    ``place`` (n, 3) is the middle of the common stretch on the model line. ``frame`` (n, 2, 3) has
-    two unit vectors across the line. ``offset`` (n, 2) is test line minus model line at that place,
-    along the frame. ``overlap`` (n,) is the common stretch as a share of the shorter line.
-    ``stretches`` are two arrays (n, 2): the ends of the common stretch on the test and on the model
-    line, m from their midpoints, low > high across a gap. ``moved`` (3,) or (n, 3) is subtracted
-    from the test set before the common stretch is found. Places are relative to the mean midpoint
-    of the model lines.
+    Of each pair: ``axis`` and ``way`` (n, 3) are the unit vectors of the model line and of the test
+    line, which is turned round where it ran ``against`` the axis; ``half`` are both half lengths,
+    ``between`` (n, 3) leads from the model line's midpoint to the test line's, ``middle`` (n, 3) is
+    the model line's from the mean of them all. ``frame`` (n, 2, 3) has two unit vectors across the
+    axis. What depends on the common stretch is filled in by :meth:`again`: ``along`` (n,) is how
+    far the test line's midpoint is along the model line, m; ``stretches`` are two arrays (n, 2):
+    the ends of the stretch on the test and on the model line, m from their midpoints, low > high
+    across a gap; ``place`` (n, 3) is its middle on the model line; ``offset`` (n, 2) is test line
+    minus model line there, along the frame; ``overlap`` (n,) is the common stretch as a share of
+    the shorter line.
     """
 
-    def __init__(self, test, model, rows, columns, moved=0.0):
-        self.rows, self.columns, self.shape = rows, columns, (len(test), len(model))
-        self.test, self.model = test, model
-        self.axis, self.way = directions(model)[columns], directions(test)[rows]
-        self.against = (self.way * self.axis).sum(axis=1) < 0
-        self.way[self.against] *= -1
-        self.half = lengths(test)[rows] / 2, lengths(model)[columns] / 2
-        self.between = midpoints(test)[rows] - midpoints(model)[columns]
-        self.frame = across(self.axis)
-        middles = midpoints(model)
-        self.middle = (middles - middles.sum(axis=0) / max(len(model), 1))[columns]
-        self._find_common(moved)
+    test: np.ndarray
+    model: np.ndarray
+    rows: np.ndarray
+    columns: np.ndarray
+    axis: np.ndarray
+    way: np.ndarray
+    against: np.ndarray
+    half: tuple[np.ndarray, np.ndarray]
+    between: np.ndarray
+    middle: np.ndarray
+    frame: np.ndarray
+    along: np.ndarray = UNKNOWN
+    stretches: tuple[np.ndarray, np.ndarray] = UNKNOWN
+    place: np.ndarray = UNKNOWN
+    offset: np.ndarray = UNKNOWN
+    overlap: np.ndarray = UNKNOWN
 
-    def _find_common(self, moved):
-        """Fill in what depends on the common stretch."""
-        half_t, half_m = self.half
-        self.s = ((self.between - moved) * self.axis).sum(axis=1)
-        low = np.maximum(self.s - half_t, -half_m)
-        high = np.minimum(self.s + half_t, half_m)
-        on_model = np.stack([low, high], axis=1)
-        on_test = on_model - self.s[:, None]
-        on_test[self.against] = -on_test[self.against, ::-1]
-        self.stretches = on_test, on_model
-        at = (low + high) / 2
-        on_axis = at[:, None] * self.axis
-        self.place = self.middle + on_axis
-        apart = self.between + (at - self.s)[:, None] * self.way - on_axis
-        self.offset = np.einsum("nkd,nd->nk", self.frame, apart)
-        self.overlap = (high - low) / (2 * np.minimum(half_t, half_m))
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Numbers of lines of both sets."""
+        return len(self.test), len(self.model)
 
     def again(self, moved: Any) -> Pairs:
-        """The same pairs, with their common stretches after another displacement."""
-        again = copy(self)
-        again._find_common(moved)
-        return again
+        """The same pairs, with their common stretches after the test set is moved back, (n, 3)."""
+        half_t, half_m = self.half
+        along = ((self.between - moved) * self.axis).sum(axis=1)
+        low, high = np.maximum(along - half_t, -half_m), np.minimum(along + half_t, half_m)
+        on_model = np.stack([low, high], axis=1)
+        on_test = on_model - along[:, None]
+        on_test[self.against] = -on_test[self.against, ::-1]
+        at = (low + high) / 2
+        on_axis = at[:, None] * self.axis
+        apart = self.between + (at - along)[:, None] * self.way - on_axis
+        return replace(
+            self,
+            along=along,
+            stretches=(on_test, on_model),
+            place=self.middle + on_axis,
+            offset=np.einsum("nkd,nd->nk", self.frame, apart),
+            overlap=(high - low) / (2 * np.minimum(half_t, half_m)),
+        )
 
     def design(self, centre: np.ndarray) -> np.ndarray:
         """Design matrix (n, 2, 4) of offsets for a vector and a rotation about a vertical axis."""
         turned = np.einsum("nkd,nd->nk", self.frame, levers(self.place - centre))
         return np.concatenate([self.frame, turned[..., None]], axis=2)
+
+
+def paired(test: np.ndarray, model: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> Pairs:
+    """Pairs of lines of two sets (p, 2, 3) and (q, 2, 3), with the stretches that they share."""
+    axis, way = directions(model)[columns], directions(test)[rows]
+    against = (way * axis).sum(axis=1) < 0
+    way[against] *= -1
+    half = lengths(test)[rows] / 2, lengths(model)[columns] / 2
+    middles = midpoints(model)
+    between = midpoints(test)[rows] - middles[columns]
+    middle = (middles - middles.sum(axis=0) / max(len(model), 1))[columns]
+    pairs = rows, columns, axis, way, against, half, between, middle, across(axis)
+    return Pairs(test, model, *pairs).again(0.0)
 
 
 def levers(arm: np.ndarray) -> np.ndarray:
