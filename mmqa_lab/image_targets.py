@@ -15,7 +15,7 @@ import pandas as pd
 from scipy import stats
 
 from mmqa_lab import mtf, radiometry
-from mmqa_lab._checks import check_choice, check_columns, check_known, check_number
+from mmqa_lab._checks import check_choice, check_columns, check_known, check_number, refuse
 from mmqa_lab.charts import decode
 
 if TYPE_CHECKING:
@@ -98,8 +98,7 @@ def _known_targets(targets, needed, bands):
     for name in targets.columns:
         check_known(name, "column of targets", sorted(known))
     targets = targets.dropna(how="all").reset_index(drop=True)
-    if not len(targets):
-        raise ValueError("Invalid targets: none of this image. Must have some.")
+    refuse(not len(targets), "targets", "none of this image", "one or more")
     for row, target in enumerate(targets[list(needed)].to_dict("records"), start=1):
         for name, value in target.items():
             check_number(value, f"{name} of target {row}", unit="px")
@@ -111,8 +110,9 @@ def _region(band, target):
     """The part of an image in a target's region."""
     column, row, width, height = (round(target[name]) for name in REGION)
     rows, columns = band.shape
-    if min(column, row) < 0 or column + width > columns or row + height > rows:
-        raise ValueError(f"Invalid region of a target. Must lie within {columns} x {rows} pixels.")
+    beyond = min(column, row) < 0 or column + width > columns or row + height > rows
+    found = f"{width} x {height} px at {column}, {row}"
+    refuse(beyond, "region of a target", found, f"within {columns} x {rows} pixels")
     return band[row : row + height, column : column + width]
 
 
@@ -215,11 +215,8 @@ def _reflectances(band, targets, number):
     for name, usual in (("anisotropy", 1.0), ("reflectance_std", 0.0)):
         patches[name] = targets[name].fillna(usual) if name in targets else usual
     known = patches[patches["known"].notna() & (patches["saturated_share"] == 0)]
-    if len(known) < 2:
-        raise ValueError(
-            f"Invalid targets: {len(known)} unsaturated with a known reflectance. Must be two or "
-            "more."
-        )
+    found = f"{len(known)} unsaturated with a known reflectance"
+    refuse(len(known) < 2, "targets", found, "two or more")
     dn = known["mean_dn"]
     given = (known["reflectance_std"] > 0).all()
     slope = np.polyfit(dn, known["known"], 1)[0]

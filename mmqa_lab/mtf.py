@@ -26,7 +26,14 @@ from scipy.interpolate import PchipInterpolator
 from scipy.optimize import least_squares, minimize_scalar
 from scipy.special import expit, j1, ndtr
 
-from mmqa_lab._checks import check_choice, check_count, check_image, check_number, check_positive
+from mmqa_lab._checks import (
+    check_choice,
+    check_count,
+    check_image,
+    check_number,
+    check_positive,
+    refuse,
+)  # fmt: skip
 from mmqa_lab._results import Shown, about, sentences
 from mmqa_lab.chart_image.placing import ChartMap
 from mmqa_lab.chart_image.reading import Tones, read_pattern, resolution
@@ -38,7 +45,6 @@ if TYPE_CHECKING:
 __all__ = ["fit_edge", "haar_sharpness", "measure_star", "read_bars", "resolving_power"]
 __dir__ = __all__.copy
 
-EDGE_METHODS = ("binned", "sigmoid", "logistic")
 
 FREQUENCIES = np.linspace(0, 1, 401)
 """Cycles per pixel."""
@@ -64,6 +70,8 @@ OVERSHOOT = 0.01
 CUT, ONE_SIDED = 0.005, 0.025
 """Share of the step by which the two halves of a profile differ where one is clipped; and where
 something else is on one side."""
+
+ODD_SIDES = "the profile is not alike on both sides, as beside a second edge"
 
 WIDEST_GAP_PX = 0.75
 """Between places of the profile: an edge of 45 degrees has one in each 0.71 pixels."""
@@ -188,13 +196,13 @@ def fit_edge(image: ArrayLike, *, method: str = "binned") -> EdgeResponse:
     >>> [round(fit_edge(seen, method=name).mtf50, 2) for name in ("binned", "sigmoid")]
     [0.18, 0.18]
     """
-    check_choice(method, "method", EDGE_METHODS)
+    check_choice(method, "method", ("binned", "sigmoid", "logistic"))
     image = check_image(image)
-    if min(image.shape) < 10:
-        raise ValueError(f"Invalid edge of {image.shape} pixels. Must be 10 x 10 or larger.")
+    refuse(min(image.shape) < 10, "edge", f"{image.shape} pixels", "10 x 10 or larger")
     image = _rising(image)
     place, rows, columns = _edge_line(image)
     angle = np.arctan(place[0])
+    turn = float(abs(np.degrees(angle)))
     distance = (columns[None, :] - np.polyval(place, rows)[:, None]) * np.cos(angle)
     along = np.broadcast_to((rows / np.abs(rows).max())[:, None], image.shape)
     shape = _logistic if method == "logistic" else spread_edge
@@ -202,10 +210,11 @@ def fit_edge(image: ArrayLike, *, method: str = "binned") -> EdgeResponse:
     crooked, second = fit.check(len(rows), image.shape[1])
     seen = _by_bins(fit) if method == "binned" else _by_sigmoid(fit)
     clipped = [side for side, sign in (("white", 1), ("black", -1)) if fit.clipped(sign)]
-    doubts = [
+    alone = not clipped and second <= OTHER_STEP
+    said = sentences(
         (not np.isfinite(seen["mtf50"]), "MTF stays above 0.5"),
         (
-            abs(np.degrees(angle)) < SMALLEST_ANGLE_DEG,
+            turn < SMALLEST_ANGLE_DEG,
             f"edge within {SMALLEST_ANGLE_DEG:g} degrees of the pixel grid",
         ),
         (method != "binned" and fit.strange() > 0.02, "no sigmoid of this shape fits"),
@@ -213,19 +222,10 @@ def fit_edge(image: ArrayLike, *, method: str = "binned") -> EdgeResponse:
         *((True, f"{side} is clipped: MTF50 is too high") for side in clipped),
         (crooked > CROOKED, f"not straight by {crooked:.0%} of its width: MTF50 is too low"),
         (second > OTHER_STEP, f"a second edge of {second:.0%} of the step"),
-        (
-            not clipped and second <= OTHER_STEP and fit.one_sided() > ONE_SIDED,
-            "the profile is not alike on both sides, as beside a second edge",
-        ),
-    ]
-    return EdgeResponse(
-        width_px=fit.width,
-        angle_deg=float(abs(np.degrees(angle))),
-        n=len(fit.values),
-        frequencies=FREQUENCIES,
-        remark="; ".join(sentences(*doubts)),
-        **seen,
+        (alone and fit.one_sided() > ONE_SIDED, ODD_SIDES),
     )
+    known = {"width_px": fit.width, "angle_deg": turn, "n": len(fit.values)}
+    return EdgeResponse(frequencies=FREQUENCIES, remark="; ".join(said), **known, **seen)
 
 
 class _Sigmoid:
@@ -274,24 +274,17 @@ class _Sigmoid:
 
     def check(self, rows, columns):
         """Raise if there is no edge, or more than one; how crooked it is, and a second step."""
-        if not self.contrast * np.sqrt(rows) > 8 * self.noise:
-            raise ValueError(
-                f"Invalid edge: a step of {self.contrast:.3g} at a noise of {self.noise:.3g}. Must "
-                "stand out."
-            )
+        faint = not self.contrast * np.sqrt(rows) > 8 * self.noise
+        step = f"a step of {self.contrast:.3g} at a noise of {self.noise:.3g}"
+        refuse(faint, "edge", step, "one that stands out")
         row = self.rows // columns
         crooked = max(self.crooked(row // size) for size in (1, 4, max(rows // EDGE_BLOCKS, 5)))
-        if crooked > TORN:
-            raise ValueError(
-                f"Invalid edge: it leaves a straight line by {crooked:.0%} of its width. Must be "
-                "straight, neither bent nor torn."
-            )
+        leaves = f"it leaves a straight line by {crooked:.0%} of its width"
+        refuse(crooked > TORN, "edge", leaves, "straight, neither bent nor torn")
         strange = self.strange()
-        if strange > OTHER_EDGE and self.overshoot() <= OVERSHOOT:
-            raise ValueError(
-                f"Invalid edge: the profile leaves a single step by {strange:.0%} of it. "
-                "Must show one edge between two plain sides."
-            )
+        several = strange > OTHER_EDGE and self.overshoot() <= OVERSHOOT
+        leaves = f"the profile leaves a single step by {strange:.0%} of it"
+        refuse(several, "edge", leaves, "one edge between two plain sides")
         return crooked, max(self.second_step(-1), self.second_step(1))
 
     def crooked(self, part):
@@ -338,9 +331,8 @@ class _Sigmoid:
         if len(levels) < 2 or np.mean(beside == levels[1]) < 0.1:
             return False
         # noise on one side of a wall
-        return beside.std() > max(np.diff(levels)[0], CUT / 2 * self.contrast) or (
-            self.one_sided() > CUT
-        )
+        noisy = beside.std() > max(np.diff(levels)[0], CUT / 2 * self.contrast)
+        return noisy or self.one_sided() > CUT
 
     def one_sided(self):
         """By how much both halves of the profile differ, over the step, less what noise gives."""
@@ -708,11 +700,9 @@ def measure_star(
     place = _refined(pixels, place, n, rings[rings > 1.5 * n / np.pi])
     waves = _outer_parts(pixels, place, n, radius)
     _check_cycles(waves, n)
-    if np.hypot(*place[2:]) > LARGEST_STRETCH:
-        raise ValueError(
-            f"Invalid star, tilted by {_tilt(place):.0f} degrees. Must be tilted by "
-            f"{_tilt([0, 0, LARGEST_STRETCH, 0]):.0f} degrees or less."
-        )
+    tilt, most = (f"{_tilt(one):.0f} degrees" for one in (place, [0, 0, LARGEST_STRETCH, 0]))
+    tilted = np.hypot(*place[2:]) > LARGEST_STRETCH
+    refuse(tilted, "star", f"tilted by {tilt}", f"tilted by {most} or less")
     radius *= 1 - np.hypot(*place[2:])
     rings = rings[rings < radius - 1 - PLAIN_PX][::-1]
     fits = [_ring(pixels, place, n, ring) for ring in rings]
@@ -723,23 +713,12 @@ def measure_star(
     clear = 0.56 / crossing(FREQUENCIES, lens(FREQUENCIES), 0.5)
     levels, borders, clipped = _plain_levels(pixels, place, n, radius, clear)
     faintest = np.abs(waves).min() / np.median(np.abs(waves))
-    doubts = [
-        (
-            faintest < SEEN_SHARE,
-            f"a part of the star is hidden: contrast {faintest:.0%} of the others'",
-        ),
-        (clipped, f"{clipped} is clipped: MTF50 is too high"),
-    ]
-    scale = 2 * _plain_level(lens, borders) / np.ptp(levels)
-    return StarMtf(
-        frequency=frequency,
-        mtf=scale * amplitude,
-        std=scale * std,
-        radius_px=rings,
-        centre=(float(place[0]), float(place[1])),
-        tilt_deg=_tilt(place),
-        remark="; ".join(sentences(*doubts)),
-    )
+    hidden = f"a part of the star is hidden: contrast {faintest:.0%} of the others'"
+    clips = f"{clipped} is clipped: MTF50 is too high"
+    remark = "; ".join(sentences((faintest < SEEN_SHARE, hidden), (clipped, clips)))
+    scale, centre = 2 * _plain_level(lens, borders) / np.ptp(levels), tuple(place[:2].tolist())
+    known = {"centre": centre, "tilt_deg": _tilt(place), "remark": remark}
+    return StarMtf(frequency, scale * amplitude, scale * std, rings, **known)
 
 
 def read_bars(
@@ -780,12 +759,10 @@ def read_bars(
     >>> bool(found["resolved"].item()), round(found["counted"].item())
     (True, 5)
     """
-    image = np.asarray(image, dtype=np.float64)
     contrast = check_positive(bright - dark, "contrast of bright and dark")
-    noise = check_positive(noise, "noise") / contrast
     # bright bars on a dark ground are the chart's black bars on white, turned round
-    tones = Tones((bright - image) / contrast, noise)
-    readings = []
+    dimness = (bright - np.asarray(image, dtype=np.float64)) / contrast
+    tones, readings = Tones(dimness, check_positive(noise, "noise") / contrast), []
     for group in groups.to_dict("records"):
         size = {"repeats": int(group["bars"]), "length": BAR_PERIODS * group["period_px"]}
         pairs = LinePairs("group", 0.0, 0.0, group["period_px"], "h", **size)
@@ -867,11 +844,9 @@ def haar_sharpness(
     from scipy.stats import median_abs_deviation
 
     grey, side = check_image(image), check_count(block, "block", low=8)
-    if min(grey.shape) < side or side % 4:
-        raise ValueError(
-            f"Invalid image of shape {grey.shape} for blocks of {side} px. Must be at least a "
-            "block large; the block's side must be a multiple of 4."
-        )
+    found = f"{grey.shape} pixels for blocks of {side} px"
+    must = "at least a block large; the block's side must be a multiple of 4"
+    refuse(min(grey.shape) < side or side % 4, "image", found, must)
     rows, columns = (size // side for size in grey.shape)
     approximation, fine = _haar(grey[: rows * side, : columns * side])
     coarse = _haar(approximation)[1]
@@ -928,11 +903,9 @@ def _plain_levels(pixels, place, n, radius, clear=0.0):
     """
     r, azimuth = _polar(pixels, place)
     outer = (r > 0.75 * radius) & (r < radius - max(PLAIN_PX, clear))
-    if outer.sum() < 4 * n or np.pi * radius / n < NARROWEST_PX:
-        raise ValueError(
-            f"Invalid star of {n} cycles and radius {radius:g} px. Must lie in the image and be "
-            f"larger than {NARROWEST_PX * n / np.pi:.0f} px to show plain sectors."
-        )
+    small = outer.sum() < 4 * n or np.pi * radius / n < NARROWEST_PX
+    must = f"in the image and larger than {NARROWEST_PX * n / np.pi:.0f} px to show plain sectors"
+    refuse(small, "star", f"{n} cycles, radius {radius:g} px", must)
     values = pixels[2][outer]
     phase = n * azimuth[outer]
     design = np.stack([np.ones_like(phase), np.cos(phase), np.sin(phase)], axis=1)
@@ -1051,9 +1024,8 @@ def _ring(pixels, place, n, ring):
     for k in (3, 5):
         if k * n / (2 * np.pi * ring) < 0.45:
             terms += [np.cos(k * n * azimuth[inside]), np.sin(k * n * azimuth[inside])]
-    design = np.stack(terms, axis=1)
-    values = pixels[2][inside]
-    coefficients, *_ = np.linalg.lstsq(design, values, rcond=None)
+    design, values = np.stack(terms, axis=1), pixels[2][inside]
+    coefficients = np.linalg.lstsq(design, values, rcond=None)[0]
     residuals = values - design @ coefficients
     variance = residuals @ residuals / max(len(values) - len(terms), 1)
     covariance = variance * np.linalg.pinv(design.T @ design)
@@ -1072,8 +1044,7 @@ def _refined(pixels, place, n, rings):
         wave = np.stack([np.cos(n * azimuth), np.sin(n * azimuth)])
         f2 = (n / (2 * np.pi * np.maximum(radius, 1))) ** 2
         design = np.stack([np.ones_like(f2), *wave, *(f2 * wave), *(f2**2 * wave)], axis=1)
-        coefficients, *_ = np.linalg.lstsq(design, points[2], rcond=None)
-        return points[2] - design @ coefficients
+        return points[2] - design @ np.linalg.lstsq(design, points[2], rcond=None)[0]
 
     # a stretch turns the wave by up to n times itself; beyond a radian the fit would lose it
     steps = np.arange(-1, 1.01, min(1.0, 1.2 / (n * LARGEST_STRETCH))) * LARGEST_STRETCH
@@ -1090,7 +1061,7 @@ def _place_of_bars(group):
     period, bars = group["period_px"], group["bars"]
     turn = np.radians(group["angle_deg"])
     across, along = np.array([np.cos(turn), np.sin(turn)]), np.array([np.sin(turn), -np.cos(turn)])
-    size = np.array([(bars - 0.5) * period, BAR_PERIODS * period])
-    low = np.array([group["x_px"], group["y_px"]]) - across * size[0] / 2 - along * size[1] / 2
+    low = np.array([group["x_px"], group["y_px"]]) - across * (bars - 0.5) * period / 2
+    low -= along * BAR_PERIODS * period / 2
     matrix = np.vstack([np.column_stack([across, along, low]), [0, 0, 1]])
     return ChartMap(matrix, source="group of bars")

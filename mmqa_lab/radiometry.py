@@ -48,20 +48,13 @@ from scipy.sparse.linalg import splu
 from scipy.special import stdtrit
 from scipy.stats import median_abs_deviation
 
-from mmqa_lab._checks import check_columns, check_count, check_number, check_positive
+from mmqa_lab._checks import check_columns, check_count, check_number, check_positive, refuse
 from mmqa_lab._results import Shown, sentences
 
 __all__ = [
-    "adjust_block",
-    "empirical_line",
-    "fit_sensor",
-    "fit_walthall",
-    "ndvi",
-    "patch_statistics",
-    "reflectance_factor",
-    "relative_exposure",
-    "stability",
-]
+    "adjust_block", "empirical_line", "fit_sensor", "fit_walthall", "ndvi", "patch_statistics",
+    "reflectance_factor", "relative_exposure", "stability",
+]  # fmt: skip
 __dir__ = __all__.copy
 
 UNDETERMINED = (
@@ -69,15 +62,9 @@ UNDETERMINED = (
     "or priors (see Notes)."
 )
 
-OBSERVATION_COLUMNS = (
-    "image",
-    "tie",
-    "radiance",
-    "sun_zenith_deg",
-    "view_zenith_deg",
-    "azimuth_deg",
-    "radius",
-)
+ANGLES = ("sun_zenith_deg", "view_zenith_deg", "azimuth_deg")
+
+OBSERVATION_COLUMNS = ("image", "tie", "radiance", *ANGLES, "radius")
 
 SHADOW, RELATIVE_STD, SMALLEST_STD = 6.0, 0.02, 1e-4
 """Deviations that hardly count; standard deviation of an observation, a share of its radiance: to
@@ -227,11 +214,9 @@ def patch_statistics(
     rows = []
     for r0, r1, c0, c1 in np.asarray(patches, dtype=int):
         inside = 0 <= r0 < r1 <= image.shape[0] and 0 <= c0 < c1 <= image.shape[1]
-        if not inside or (r1 - r0) * (c1 - c0) < 2:
-            raise ValueError(
-                f"Invalid patch {(r0, r1, c0, c1)}. Must have two or more pixels in an image of "
-                f"{image.shape[0]} x {image.shape[1]}."
-            )
+        wrong = not inside or (r1 - r0) * (c1 - c0) < 2
+        found = f"rows {r0} to {r1}, columns {c0} to {c1}"
+        refuse(wrong, "patch", found, f"two or more pixels in an image of {image.shape}")
         dn = image[r0:r1, c0:c1].ravel()
         std = dn.std(ddof=1)
         rows.append((dn.size, dn.mean(), std, std / np.sqrt(dn.size), (dn >= full_scale).mean()))
@@ -297,11 +282,9 @@ def fit_sensor(
     if not (np.isfinite(signal).all() and np.isfinite(dn).all() and (std > 0).all()):
         raise ValueError("Invalid targets. Must be finite, their standard deviations > 0 DN.")
     used = dn + 3 * (0 if std_dn is None else std) < full_scale
-    if used.sum() < 3 or np.ptp(signal[used]) == 0:
-        raise ValueError(
-            f"Invalid targets: {used.sum()} unsaturated of {len(dn)}. Must be three or more, of "
-            "different radiance."
-        )
+    few = used.sum() < 3 or np.ptp(signal[used]) == 0
+    found = f"{used.sum()} unsaturated of {len(dn)}"
+    refuse(few, "targets", found, "three or more, of different radiance")
     terms = 1 if through_zero else 2
     design = np.stack([signal, np.ones_like(signal)], axis=1)[:, :terms]
     fit = WLS(dn[used], design[used], weights=std[used] ** -2).fit()
@@ -528,15 +511,10 @@ def empirical_line(
     """
     dn = np.asarray(dn, dtype=np.float64)
     known = np.broadcast_to(np.multiply(reflectance, anisotropy), dn.shape)
-    if dn.ndim != 1 or len(dn) < 2 or not np.isfinite([dn, known]).all() or np.ptp(dn) == 0:
-        raise ValueError(
-            f"Invalid targets: {dn.size} given. Must be two or more of different, finite DN."
-        )
-    shares = np.asarray(reflectance, dtype=np.float64)
-    if shares.min() < 0 or shares.max() > 1:
-        raise ValueError(
-            f"Invalid reflectance {shares.min():g} to {shares.max():g}. Must be between 0 and 1."
-        )
+    few = dn.ndim != 1 or len(dn) < 2 or not np.isfinite([dn, known]).all() or np.ptp(dn) == 0
+    refuse(few, "targets", f"{dn.size} given", "two or more of different, finite DN")
+    for share in np.ravel(reflectance).tolist():
+        check_number(share, "reflectance", low=0, high=1)
     slope = np.polyfit(dn, known, 1)[0]
     if not slope * np.ptp(dn) > 1e-9:
         raise ValueError("Invalid targets: brighter ones do not have a larger DN. Must have.")
@@ -638,11 +616,9 @@ def fit_walthall(reflectance: ArrayLike, view_zenith: ArrayLike, azimuth: ArrayL
     """
     seen = np.asarray(reflectance, dtype=np.float64)
     terms = np.broadcast_to(walthall_terms(view_zenith, azimuth), (*seen.shape, 3))
-    if len(seen) < 4 or np.linalg.matrix_rank(terms, tol=1e-6 * len(seen)) < 3:
-        raise ValueError(
-            f"Invalid directions: {len(seen)} observations cannot tell three terms apart. Must be "
-            "more, from different directions."
-        )
+    few = len(seen) < 4 or np.linalg.matrix_rank(terms, tol=1e-6 * len(seen)) < 3
+    found = f"{len(seen)} observations cannot tell three terms apart"
+    refuse(few, "directions", found, "more, from different directions")
     return WalthallFit(np.linalg.lstsq(terms, seen, rcond=None)[0])
 
 
@@ -819,10 +795,8 @@ def adjust_block(
             inverse = _covariance(normal, parameters)
             _warn(block, estimate, value, std, scaled)
             return _result(block, estimate, inverse, free, control is not None)
-    raise ValueError(
-        f"Invalid block: still changing after {ROUNDS} iterations. Must have tie points that "
-        "determine the parameters."
-    )
+    must = "have tie points that determine the parameters"
+    raise ValueError(f"Invalid block: still changing after {ROUNDS} iterations. Must {must}.")
 
 
 def _tie_spread(values, tie):
@@ -838,15 +812,13 @@ class _Block:
         check_columns(observations, OBSERVATION_COLUMNS, "observations")
         named = [name for name in ("surface", "group") if name in observations]
         missing = observations[[*OBSERVATION_COLUMNS, *named]].isna()
-        if missing.any(axis=None):
-            row, name = np.argwhere(missing.to_numpy())[0]
-            raise ValueError(
-                f"Invalid observations: no {missing.columns[name]} in row {row + 1}. Must be given."
-            )
+        for row, name in np.argwhere(missing.to_numpy())[:1]:
+            found = f"no {missing.columns[name]} in row {row + 1}"
+            refuse(True, "observations", found, "given")
         self.observations = observations
         self.signal = observations["radiance"].to_numpy(dtype=np.float64)
-        if not (np.isfinite(self.signal).all() and (self.signal > 0).all()):
-            raise ValueError(f"Invalid radiance {np.nanmin(self.signal)}. Must be > 0 and finite.")
+        known = np.isfinite(self.signal) & (self.signal > 0)
+        refuse(not known.all(), "radiance", np.nanmin(self.signal), "> 0 and finite")
         if not (observations.groupby("tie")["image"].nunique() > 1).any():
             raise ValueError("Invalid observations: no tie point in two images. Must overlap.")
         self.image, self.images = pd.factorize(observations["image"], sort=True)
@@ -875,10 +847,9 @@ class _Block:
         value, std = np.repeat([*priors, (0.0, np.inf)], counts, axis=0).T.copy()
         if control is not None:
             place = pd.Index(self.ties).get_indexer(control["tie"])
-            if (place < 0).any() or not (control["std"] > 0).all():
-                raise ValueError(
-                    "Invalid control. Must be tie points of the block, each with a std above zero."
-                )
+            wrong = (place < 0).any() or not (control["std"] > 0).all()
+            must = "tie points of the block, each with a std above zero"
+            refuse(wrong, "control", f"{len(control)} targets", must)
             # a target that stands there twice counts by its weighted mean
             weight, count = control["std"].to_numpy(dtype=np.float64) ** -2, len(self.ties)
             known = np.bincount(place, weight, count)

@@ -13,19 +13,14 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab import published
-from mmqa_lab._checks import check_choice, check_columns, check_known
+from mmqa_lab._checks import check_choice, check_columns, check_known, check_number, refuse
 from mmqa_lab.chart_image.rules import MARKS, expected_marks
 from mmqa_lab.published.ledger import COARSEST_MM
 from mmqa_lab.spacing import exempt
 
 __all__ = [
-    "QUANTITIES",
-    "published_criteria",
-    "published_results",
-    "qualification",
-    "verdict",
-    "verdicts",
-]
+    "QUANTITIES", "published_criteria", "published_results", "qualification", "verdict", "verdicts",
+]  # fmt: skip
 __dir__ = __all__.copy
 
 RELATIONS = {">=": operator.ge, ">": operator.gt, "<=": operator.le, "<": operator.lt}
@@ -49,6 +44,8 @@ QUANTITIES = {
 }
 """Quantities: the least and the largest value above zero that can be, and the words by which a
 remark names the figure."""
+
+IMAGE_NAMES = {"pixel size": "pixel_mm", "line-pair width": "w_mm"}
 
 NO_WIDTH = 1e-4
 """An interval narrower than this share of the figure states no uncertainty."""
@@ -289,8 +286,7 @@ def published_criteria(name: str, *, cloud_distance_m: float = 5.0) -> pd.DataFr
     with_g = check_choice(name, "criteria", (*SETS, OWN_SET)) == OWN_SET
     name = "test" if with_g else name
     table = published.table("pfeifer2021", "criteria").query("set == @name").reset_index(drop=True)
-    names = {"pixel size": "pixel_mm", "line-pair width": "w_mm", "density": "density_per_m2"}
-    names["sigma_mad"] = "sigma_mad_mm"
+    names = IMAGE_NAMES | {"density": "density_per_m2", "sigma_mad": "sigma_mad_mm"}
     text = table["quantity"] == "legibility"
     height = table["text_height_mm"].map("legibility_{:.0f}mm".format)
     table["quantity"] = height.where(text, table["quantity"].replace(names))
@@ -355,14 +351,12 @@ def published_results(*, repeatability: bool = False, by_pixels: bool = False) -
 def _criteria(criteria):
     """Criteria checked and with every column."""
     criteria = _whole(criteria, CRITERIA, ("distance_m", "rho0_per_m2"), "criteria")
-    twice = criteria.loc[criteria["criterion"].duplicated(), "criterion"]
-    if len(twice):
-        raise ValueError(f"Invalid criteria: {twice.iloc[0]!r} twice. Must be distinct.")
+    for twice in criteria.loc[criteria["criterion"].duplicated(), "criterion"]:
+        refuse(True, "criteria", f"{twice!r} twice", "distinct")
     for row in criteria.itertuples():
         check_choice(row.relation, f"relation of {row.criterion!r}", tuple(RELATIONS))
         name = f"threshold of {row.criterion!r}"
-        if np.isnan(_rank(row.threshold, name)):
-            raise ValueError(f"Invalid {name}: none. Must be given.")
+        refuse(np.isnan(_rank(row.threshold, name)), name, "none", "given")
         _check_unit(row.threshold, row.quantity, name)
         _check_unit(row.rho0_per_m2, "density_per_m2", "rho0_per_m2")
     return criteria
@@ -372,19 +366,17 @@ def _results(results):
     """Results checked and with every column."""
     results = results.rename(columns={"remark": "remarks"})
     results = _whole(results, RESULTS, ("distance_m", "sigma", "low", "high"), "results")
-    if (results["sigma"] < 0).any():
-        raise ValueError(f"Invalid sigma {results['sigma'].min()}. Must be 0 or more.")
+    for sigma in results["sigma"].dropna():
+        check_number(sigma, "sigma", low=0)
     spelt = results["system"].drop_duplicates()
     for system in spelt[spelt.str.casefold().duplicated()]:
-        raise ValueError(f"Invalid system {system!r}. Must be spelt alike in all its rows.")
+        refuse(True, "system", repr(system), "spelt alike in all its rows")
     for row in results.itertuples():
         name = f"{row.quantity} of {row.system}"
         rank = _rank(row.value, name)
-        if rank < row.low or rank > row.high or row.low > row.high:
-            raise ValueError(
-                f"Invalid {name} {row.value!r}: low {row.low:g}, high {row.high:g}. Must lie "
-                "between them."
-            )
+        beyond = rank < row.low or rank > row.high or row.low > row.high
+        ends = f"low {row.low:g}, high {row.high:g}"
+        refuse(beyond, f"{name} {row.value!r}", ends, "between them")
         _check_unit(row.value, row.quantity, name)
     return results
 
@@ -395,14 +387,13 @@ def _whole(frame, needed, numbers, what):
     for name in frame.columns[~frame.columns.isin([*needed, *OPTIONAL, *NOTES])]:
         check_known(name, f"column of {what}", (*needed, *OPTIONAL, *NOTES))
     frame = frame.reset_index(drop=True).replace(r"^\s*$", np.nan, regex=True).dropna(how="all")
-    if frame.empty:
-        raise ValueError(f"Invalid {what}: no rows. Must have one or more.")
+    refuse(frame.empty, what, "no rows", "one or more")
     missing = [name for name in (*WORDS, "remarks", *numbers) if name not in frame]
     frame = frame.assign(**dict.fromkeys(missing, np.nan))
     for name in [*needed[:2], *WORDS, "remarks"]:
         empty = frame[name].isna()
-        if name in needed and empty.any():
-            raise ValueError(f"Invalid {what}: no {name} in row {empty.idxmax() + 1}. Must be one.")
+        lacks = name in needed and empty.any()
+        refuse(lacks, what, f"no {name} in row {empty.idxmax() + 1}", "one")
         frame[name] = frame[name].astype(object).where(~empty, "").astype(str).str.strip()
     for name, known in WORDS.items():
         for word in frame[name].unique():
@@ -411,9 +402,8 @@ def _whole(frame, needed, numbers, what):
         given = frame[name].astype(object).map(_step_of_mark)
         frame[name] = pd.to_numeric(given, errors="coerce")
         bad = frame[name].isna() & given.notna()
-        if bad.any():
-            where = f"{given[bad.idxmax()]!r} in row {bad.idxmax() + 1}"
-            raise ValueError(f"Invalid {name} in {what}: {where}. Must be a number.")
+        where = f"{given[bad.idxmax()]!r} in row {bad.idxmax() + 1}"
+        refuse(bad.any(), f"{name} in {what}", where, "a number")
     return frame
 
 
@@ -430,9 +420,8 @@ def _check_unit(value, quantity, name):
     """Raise where a known quantity cannot have this value, as one in another unit."""
     value = _rank(value, name)
     low, high, _ = QUANTITIES.get(quantity, (-np.inf, np.inf, ""))
-    if value != 0 and not (np.isnan(value) or low <= value <= high):
-        limits = f"{low:g} and {high:g}, in the unit of {quantity}"
-        raise ValueError(f"Invalid {name} {value:g}. Must be between {limits}.")
+    if value != 0 and not np.isnan(value):
+        check_number(value, name, low=low, high=high, unit=f"in the unit of {quantity}")
 
 
 def _doubted(quantity, remarks):
@@ -504,11 +493,9 @@ def _row(system, criterion, figure):
 def _ends(criterion, figure, marks):
     """A figure as a number, and the ends of its interval; NaN where it was not measured."""
     rank = _rank(figure.value, criterion.quantity)
-    if np.isfinite(rank) and marks != _is_mark(figure.value):
-        raise ValueError(
-            f"Invalid {criterion.quantity} {figure.value!r} of {figure.system}. Must be of the "
-            f"kind of the threshold {criterion.threshold!r}."
-        )
+    other = np.isfinite(rank) and marks != _is_mark(figure.value)
+    what, must = f"{criterion.quantity} of {figure.system}", f"threshold {criterion.threshold!r}"
+    refuse(other, what, repr(figure.value), f"of the kind of the {must}")
     low, high = _interval(figure, rank)
     if np.isnan(rank) and not (np.isnan(low) and np.isnan(high)):  # a bound of one side
         low, high = np.nan_to_num(low, nan=-np.inf), np.nan_to_num(high, nan=np.inf, posinf=np.inf)
@@ -524,7 +511,7 @@ def _interval(figure, rank):
 
 def _image_row(row):
     """A cell of Table 1 as a result."""
-    names = {"legibility": "legibility_40mm", "pixel size": "pixel_mm", "line-pair width": "w_mm"}
+    names = {"legibility": "legibility_40mm"} | IMAGE_NAMES
     result = {name: row[name] for name in ("system", "distance_m", "view", "direction")}
     result["quantity"] = names[row["quantity"]]
     result["value"] = row["printed"] if row["quantity"] == "legibility" else row["value"]

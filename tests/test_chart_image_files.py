@@ -68,7 +68,7 @@ def test_charts_beyond_the_image_are_refused(panorama, tmp_path):
     cv2.imwrite(str(part), io.read_image(file)[:, : right - 60])
     with pytest.raises(ValueError, match=r"2 of 4 coded .* not cut by the border"):
         chart_image.evaluate_file(part, CHART)
-    with pytest.raises(ValueError, match=f"Must lie within {right - 60} x 2000 pixels"):
+    with pytest.raises(ValueError, match=f"Must be within {right - 60} x 2000 pixels"):
         chart_image.evaluate_file(part, CHART, corners=view.pixels(CHART.corners()))
     with pytest.raises(ValueError, match="Must be 2 : 1"):
         chart_image.evaluate_file(part, CHART, panorama=True)

@@ -184,10 +184,10 @@ def odd_edge(kind, rng, *, noise=0.01, angle_deg=None):
 ODD_EDGES = {
     "white": "white is clipped",
     "black": "black is clipped",
-    "second": "a second edge|Must show one edge",
-    "near": "a second edge|Must show one edge",
+    "second": "a second edge|one edge between",
+    "near": "a second edge|one edge between",
     "bend": "straight",
-    "kink": "straight|Must show one edge",
+    "kink": "straight|one edge between",
     "wave": "straight",
     "torn": "straight",
     "sharpened": "sharpened",

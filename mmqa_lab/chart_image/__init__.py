@@ -26,16 +26,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
+from mmqa_lab._checks import refuse
 from mmqa_lab._results import Shown, sentences
 from mmqa_lab.chart_image import reading
-from mmqa_lab.chart_image.placing import (
-    SAID_BEND,
-    ChartMap,
-    LensCamera,
-    PanoramaCamera,
-    align,
-    locate,
-)
+from mmqa_lab.chart_image.placing import ChartMap, LensCamera, PanoramaCamera, align, locate
 from mmqa_lab.chart_image.reading import Resolution, Tones, read_pairs, resolution
 from mmqa_lab.chart_image.rules import (
     agreement,
@@ -51,28 +45,17 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __all__ = [
-    "ChartMap",
-    "ImageQuality",
-    "LensCamera",
-    "PanoramaCamera",
-    "agreement",
-    "chart_site",
-    "choose_images",
-    "evaluate_file",
-    "evaluate_image",
-    "locate",
-    "quality_index",
-    "read_pairs",
-    "resolution",
-    "text_crops",
-]
+    "ChartMap", "ImageQuality", "LensCamera", "PanoramaCamera", "agreement", "chart_site",
+    "choose_images", "evaluate_file", "evaluate_image", "locate", "quality_index", "read_pairs",
+    "resolution", "text_crops",
+]  # fmt: skip
 __dir__ = __all__.copy
 
-OUTLINES = {
-    True: {"color": "C5", "ls": "-", "marker": "", "lw": 1},
-    False: {"color": "C1", "ls": "--", "marker": "", "lw": 1},
-}
+OUTLINES = {True: {"color": "C5", "ls": "-"}, False: {"color": "C1", "ls": "--"}}
 """Lines around resolved and refused patterns."""
+
+SAID_BEND = 0.01
+"""How far lines are bent over their length, from where on it is said."""
 
 UNSEEN_PX = 0.5
 """Standard deviation of a bar's length in the map, px, where something hides an end of it."""
@@ -166,8 +149,9 @@ class ImageQuality(Shown):
         # blurred pairs are half white, half black in linear light; a display's curve adds 0.2
         blurred = pairs["contrast"].between(0.02, 0.7) & (pairs["reason"] != reading.HIDDEN)
         tone = pairs.loc[blurred, "mean"].median()
-        widths = [(one, self.resolution(one).width_mm) for one in "hv"]
+        unread = [one for one in "hv" if np.isnan(self.resolution(one).width_mm)]
         bent = 0 if self.chart_map.bend is None else self.chart_map.bent_share(self.layout)
+        toned = f"blurred line pairs have a mean tone of {tone:.2f} for 0.50: is gamma right?"
         return sentences(
             (bent > SAID_BEND, f"straight lines are bent by {bent:.1%}, the map follows them"),
             (charts > 1, f"{charts} charts are seen, the largest is measured"),
@@ -176,11 +160,8 @@ class ImageQuality(Shown):
             (len(unseen), f"an end is not seen, its place is the map's: {', '.join(unseen)}"),
             (len(hidden), f"hidden: {', '.join(hidden)}"),
             (len(moved), f"bars are not where they are printed: {', '.join(moved)}"),
-            (
-                abs(tone - 0.5) > 0.12,
-                f"blurred line pairs have a mean tone of {tone:.2f} for 0.50: is gamma right?",
-            ),
-            *((np.isnan(w), f"no line pairs are resolved in direction {d}") for d, w in widths),
+            (abs(tone - 0.5) > 0.12, toned),
+            *((True, f"no line pairs are resolved in direction {one}") for one in unread),
         )
 
     def plot(self, *, ax: Axes) -> Axes:
@@ -188,9 +169,9 @@ class ImageQuality(Shown):
         ax.imshow(self.image, cmap="gray", interpolation="nearest")
         for row in self.pairs.itertuples():
             outline = self.layout[row.name].corners()[[0, 1, 2, 3, 0]]
-            ax.plot(*self.chart_map.pixels(outline).T, **OUTLINES[row.resolved])
+            ax.plot(*self.chart_map.pixels(outline).T, **OUTLINES[row.resolved], marker="", lw=1)
         for resolved, label in ((True, "resolved"), (False, "refused")):
-            ax.plot([], [], **OUTLINES[resolved], label=label)
+            ax.plot([], [], **OUTLINES[resolved], marker="", lw=1, label=label)
         ax.set_axis_off()
         ax.legend(loc="upper center", bbox_to_anchor=(0.5, 0), ncols=2)
         return ax
@@ -303,16 +284,14 @@ def evaluate_file(
     """
     grey = read_image(path)
     rows, columns = grey.shape
-    if panorama and columns != 2 * rows:
-        raise ValueError(f"Invalid panorama of {columns} x {rows} pixels. Must be 2 : 1.")
+    pixels = f"{columns} x {rows} pixels"
+    refuse(panorama and columns != 2 * rows, "panorama", pixels, "2 : 1")
     camera = PanoramaCamera(columns) if panorama else None
     if calibration is not None:
         matrix, distortion, size = read_camera(calibration)
-        if panorama or size not in (None, (columns, rows)):
-            of = "a panorama" if panorama else f"{columns} x {rows} pixels"
-            raise ValueError(
-                f"Invalid camera {calibration} for {of}. Must be of this image's lens."
-            )
+        other = panorama or size not in (None, (columns, rows))
+        of = "a panorama" if panorama else pixels
+        refuse(other, f"camera {calibration}", f"given for {of}", "of this image's lens")
         camera = LensCamera(matrix, distortion)
     chart_map = locate(grey, layout, corners=corners, camera=camera)
     origin, last = _window(chart_map, layout, grey.shape)
@@ -324,12 +303,10 @@ def evaluate_file(
 def _window(chart_map, layout, shape):
     """First and last column and row of a chart's surroundings in an image."""
     outline, size = chart_map.outline(layout.corners()), np.array(shape[::-1])
-    if not np.isfinite(outline).all() or (outline < -0.5).any() or (outline > size - 0.5).any():
-        corners = chart_map.pixels(layout.corners()).round().tolist()
-        raise ValueError(
-            f"Invalid place of the chart: corners at {corners}. "
-            f"Must lie within {size[0]} x {size[1]} pixels."
-        )
+    inside = (outline >= -0.5).all() and (outline <= size - 0.5).all()
+    corners = f"corners at {chart_map.pixels(layout.corners()).round().tolist()}"
+    within = f"within {size[0]} x {size[1]} pixels"
+    refuse(not inside, "place of the chart", corners, within)
     margin = np.maximum(0.05 * np.ptp(outline, axis=0), 16).astype(int)
     first = np.maximum(np.floor(outline.min(axis=0)).astype(int) - margin, 0)
     last = np.minimum(np.ceil(outline.max(axis=0)).astype(int) + margin + 1, size)

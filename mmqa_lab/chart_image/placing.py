@@ -21,13 +21,15 @@ from numpy.polynomial.polynomial import polyval2d, polyvander2d
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from mmqa_lab._checks import check_image, check_points, check_positive
+from mmqa_lab._checks import check_image, check_points, check_positive, refuse
 from mmqa_lab.charts import Bar, Layout, LinePairs, Marker, reflectance
 
 __all__ = [
     "BLOCKS", "SIGMAS_PX", "Bend", "ChartMap", "LensCamera", "PanoramaCamera", "align",
     "four_corners", "locate",
 ]  # fmt: skip
+
+WHERE = "place of the chart"
 
 ENLARGEMENTS, ENLARGED_PIXELS, SHRUNK_PIXELS, OTHERS_PIXELS = (1, 2, 4), 4e6, 25e6, 6e6
 """Factors of enlargement for small targets, and the number of pixels up to which they are used;
@@ -66,8 +68,8 @@ BEND_GAIN, BEND_PX = 14.0, 0.4
 """How many times more than chance a bend must explain, and how far it must reach, to count."""
 
 UNDISTORT = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 100, 1e-10)
-LARGEST_BEND, SAID_BEND = 0.06, 0.01
-"""How far lines may be bent over their length: at most, and from where on it is said."""
+LARGEST_BEND = 0.06
+"""How far lines may be bent over their length."""
 
 STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 60, 1e-6)
 
@@ -258,8 +260,8 @@ class ChartMap:
             turned = rays @ turn.T
             flat = turned[:, :2] / turned[:, 2:]
         homography, _ = cv2.findHomography(xy, flat, 0)
-        if homography is None or not _same_orientation(homography, xy):
-            raise ValueError(f"Invalid {source}: no chart fits. Must be four corners in order.")
+        fits = homography is not None and _same_orientation(homography, xy)
+        refuse(not fits, source, "no chart fits", "four corners in order")
         return cls(turn.T @ homography, camera, tuple(offset), source=source)
 
     def pixels(self, xy: ArrayLike) -> np.ndarray:
@@ -305,8 +307,7 @@ class ChartMap:
 
     def within(self, column: float, row: float) -> ChartMap:
         """Return the map for a window of the image that begins at this column and row."""
-        offset = np.asarray(self.offset) + [column, row]
-        return replace(self, offset=tuple(offset))
+        return replace(self, offset=tuple(np.add(self.offset, [column, row])))
 
     def pixel_sizes_mm(self, xy: ArrayLike) -> np.ndarray:
         """Return the millimetres per pixel along x and along y at chart places, shape (n, 2)."""
@@ -336,8 +337,7 @@ def _same_orientation(homography, xy):
 def four_corners(corners, *, columns):
     """Four corners as an array, checked."""
     corners = check_points(corners, name="corners", columns=columns, minimum=4)
-    if len(corners) != 4:
-        raise ValueError(f"Invalid corners: {len(corners)} given. Must be four.")
+    refuse(len(corners) != 4, "corners", f"{len(corners)} given", "four")
     return corners
 
 
@@ -420,10 +420,9 @@ def locate(
         chart_map = _by_bars(grey, layout, times) if times == shrunk else None
         if chart_map is not None:
             return _plain(chart_map, layout, **by_bars)
-    raise ValueError(
-        f"Invalid image: {len(found)} of {len(markers)} coded targets and no long bars found. "
-        "Must show the whole chart, not cut by the border, or its corners must be given."
-    )
+    seen = f"{len(found)} of {len(markers)} coded targets and no long bars found"
+    must = "show the whole chart, not cut by the border, or its corners must be given"
+    raise ValueError(f"Invalid image: {seen}. Must {must}.")
 
 
 def _decoded(grey, markers, smaller):
@@ -441,12 +440,9 @@ def _decoded(grey, markers, smaller):
         corners, numbers, _ = cv2.aruco.ArucoDetector(book, settings).detectMarkers(large)
         places = [(seen.reshape(4, 2).astype(float) + 0.5) / times - 0.5 for seen in corners]
         numbers = [] if numbers is None else np.ravel(numbers).tolist()
+        ours = [one for one in zip(numbers, places, strict=True) if one[0] in markers]
         # a mirrored square is none of the chart's targets
-        found = [
-            (number, seen)
-            for number, seen in zip(numbers, places, strict=True)
-            if number in markers and np.linalg.det(seen[1:3] - seen[:2]) > 0
-        ]
+        found = [one for one in ours if np.linalg.det(one[1][1:3] - one[1][:2]) > 0]
         best = max(best, found, key=len)
         # a fifth target is one of another chart, whose others are smaller
         if best and len(best) % len(markers) == 0:
@@ -493,7 +489,7 @@ def _stretched(image):
         image = image.astype(np.float32)
     step = 1 + int(np.sqrt(image.size / 1e6))
     limits = np.percentile(image[::step, ::step], [0.5, 99.5]).astype(image.dtype)
-    low, high = (float(limit) for limit in limits)
+    low, high = map(float, limits)
     scale = 255 / max(high - low, 1e-12)
     return cv2.convertScaleAbs(np.clip(image, *limits), alpha=scale, beta=-low * scale)
 
@@ -551,18 +547,13 @@ def align(image, layout, chart_map):
             plain, alone = _aligned(image, layout, plain, bent=False)
             found, correlation = (plain, alone) if alone >= correlation else (found, correlation)
     bent = found.bent_share(layout) if found.bend is not None else 0.0
-    if bent > LARGEST_BEND:
-        raise ValueError(
-            f"Invalid place of the chart: straight lines are bent by {bent:.1%} of their length. "
-            f"Must be less than {LARGEST_BEND:.0%}, or a camera file must tell how the lens bends; "
-            "is the chart there?"
-        )
-    if not correlation >= SMALLEST_CORRELATION:
-        raise ValueError(
-            f"Invalid place of the chart: its print correlates by {correlation:.2f} with the "
-            f"image. Must be {SMALLEST_CORRELATION} or more; is the chart there, not mirrored, "
-            "and are its lines straight?"
-        )
+    lines = f"straight lines are bent by {bent:.1%} of their length"
+    told = "or a camera file must tell how the lens bends (is the chart there?)"
+    refuse(bent > LARGEST_BEND, WHERE, lines, f"less than {LARGEST_BEND:.0%}, {told}")
+    alike = f"its print correlates by {correlation:.2f} with the image"
+    there = "(is the chart there, not mirrored, and are its lines straight?)"
+    differs = not correlation >= SMALLEST_CORRELATION
+    refuse(differs, WHERE, alike, f"{SMALLEST_CORRELATION} or more {there}")
     return replace(found, source=f"{found.source}, aligned")
 
 
@@ -783,11 +774,8 @@ def _by_bars(grey, layout, smaller):
 def _guesses(grey, layout, bars):
     """Correlations and aligned maps of the charts that streaks suggest."""
     scored = _glanced(grey, layout, _suggested(_streaks(grey), bars))
-    scored = sorted(
-        (guess for guess in scored if guess[0] > PROMISING), key=lambda guess: -guess[0]
-    )
-    found = []
-    for _, chart_map in scored[:6]:
+    best, found = sorted(scored, key=lambda guess: -guess[0])[:6], []
+    for chart_map in [chart_map for first, chart_map in best if first > PROMISING]:
         for along in (60, 160):
             outline = chart_map.outline(layout.corners())
             if not ((outline > -2) & (outline < np.array(grey.shape[::-1]) + 1)).all():
@@ -795,9 +783,9 @@ def _guesses(grey, layout, bars):
             chart_map, correlation = _Level(grey, layout, chart_map, along).aligned(chart_map)
         else:
             wide = np.ptp(chart_map.pixels(layout.corners()), axis=0)
-            if wide.prod() > 50**2:  # a smaller chart shows nothing
+            if correlation > LIKELY and wide.prod() > 50**2:  # a smaller chart shows nothing
                 found.append((correlation, chart_map))
-    return [guess for guess in found if guess[0] > LIKELY]
+    return found
 
 
 def _glanced(grey, layout, suggested):

@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from mmqa_lab._checks import check_image
-from mmqa_lab._results import Shown
+from mmqa_lab._checks import check_image, refuse
+from mmqa_lab._results import Shown, sentences
 from mmqa_lab.chart_image.placing import ChartMap
 from mmqa_lab.charts import Bar, Layout, LinePairs, Text, reflectance
 
@@ -136,11 +136,10 @@ def find_tones(image, layout, chart_map):
     light = float(field[white].mean())
     step = light - ground
     # rounding alone makes a contrast of a plain image without noise
-    if not (step > 1e-9 * abs(light) and SMALLEST_CONTRAST * noise < 1):
-        raise ValueError(
-            f"Invalid chart: white exceeds black by {step:.3g} at a noise of {noise * step:.3g}. "
-            f"Must be {SMALLEST_CONTRAST:g} times the noise or more; is the chart there?"
-        )
+    clear = step > 1e-9 * abs(light) and SMALLEST_CONTRAST * noise < 1
+    shown = f"white exceeds black by {step:.3g} at a noise of {noise * step:.3g}"
+    must = f"{SMALLEST_CONTRAST:g} times the noise or more (is the chart there?)"
+    refuse(not clear, "chart", shown, must)
     plain = image[white | black]
     odd = np.where(inside & (to_white >= RIM_PX), np.abs(values - 1), np.nan)
     clipped = float(((plain >= 1) | (plain <= 0)).mean())
@@ -311,9 +310,16 @@ def read_pattern(tones, pairs, chart_map):
     height = max(2.0, (60 * tones.noise) ** 2 / (width_px / 2))
     strips = int(np.clip(length_px / height, 1, 8))
     gaps, limits, contrast, tone = _gaps(shifted, along, values, pairs, strips, tones.noise)
-    passed = (gaps >= limits).all(axis=1)
-    worst, share = float(np.median(gaps.min(axis=1))), float(passed.mean())
-    reason = _refusal(width_px, phase, bars, pairs.repeats, share)
+    share = float((gaps >= limits).all(axis=1).mean())
+    worst = float(np.median(gaps.min(axis=1)))
+    reasons = sentences(
+        (width_px < 2, "below the Nyquist width"),
+        (width_px < SMALLEST_PAIR_PX, "beats with the pixels"),
+        (abs(bars - pairs.repeats) > 0.6, "wrong number of bars"),
+        (abs(phase) > 50, MOVED),  # a reversal is 180 degrees
+        (share < 0.75, "gaps do not stand out"),  # of the strips
+    )
+    reason = reasons[0] if reasons else ""
     mean = float(np.nanmean(tone)) if np.isfinite(tone).any() else np.nan
     seen = contrast, modulation, worst, phase, bars, share
     return PairReading(*known, *seen, resolved=not reason, reason=reason, mean=mean)
@@ -428,12 +434,10 @@ def pixel_sizes(tones, layout, chart_map):
     >>> sizes[["length_mm", "length_px", "pixel_mm"]].round(2).iloc[0].tolist()
     [800.0, 200.0, 4.0]
     """
-    bars = layout.of_kind(Bar)
-    bars = [bar for bar in bars if not 0.2 < bar.width / bar.height < 5]
+    bars = [bar for bar in layout.of_kind(Bar) if not 0.2 < bar.width / bar.height < 5]
     table = pd.DataFrame([_measured(tones, bar, chart_map) for bar in bars])
     # ends of all bars tell how far the map is off
-    both = np.sqrt(2 * (table["offset_px"] ** 2).mean())
-    table["length_sigma_px"] = both
+    table["length_sigma_px"] = np.sqrt(2 * (table["offset_px"] ** 2).mean())
     table["pixel_mm"] = (table["length_mm"] / table["length_px"]).where(table["n"] > 0)
     table["pixel_sigma_mm"] = table["pixel_mm"] * table["length_sigma_px"] / table["length_px"]
     return table
@@ -458,9 +462,8 @@ def _printed(layout, chart_map, shape):
     depths = [_depth(np.abs(printed - tone) < 1e-3) * (cell / sizes.max()) for tone in (1.0, 0.0)]
     places = np.float32(places / cell - 0.5)
     constant = {"interpolation": cv2.INTER_LINEAR, "borderMode": cv2.BORDER_CONSTANT}
-    at_pixels = [
-        cv2.remap(part, places, None, **constant, borderValue=-1.0) for part in (seen, *depths)
-    ]
+    constant["borderValue"] = -1.0
+    at_pixels = [cv2.remap(part, places, None, **constant) for part in (seen, *depths)]
     return (at_pixels[0] > -1e-3, *at_pixels)  # blurred black may fall below 0
 
 
@@ -507,8 +510,7 @@ def _pixels(tones, pairs, chart_map):
     """Place across and along the bars in mm and value of the pixels inside a pattern."""
     outline = pairs.corners()
     places, values = tones.near(chart_map, outline)
-    places = places - outline[0]
-    axis = 0 if pairs.direction == "h" else 1
+    places, axis = places - outline[0], "hv".index(pairs.direction)
     scales = 1 / chart_map.pixel_sizes_mm(np.vstack([outline, outline.mean(axis=0)]))
     across, along = places[:, axis], places[:, 1 - axis]
     end = 1.5 / scales[:, 1 - axis].min()  # blurred
@@ -516,8 +518,8 @@ def _pixels(tones, pairs, chart_map):
     inside = (across >= 0) & (across <= pairs.extent - pairs.pair / 2)
     inside &= (along >= end) & (along <= pairs.length - end)
     length_px = (pairs.length - 2 * end) * scales[:, 1 - axis].min()
-    width_px = pairs.pair * scales[:, axis].min()
-    return across[inside], along[inside], values[inside], float(width_px), length_px
+    width_px = float(pairs.pair * scales[:, axis].min())
+    return across[inside], along[inside], values[inside], width_px, length_px
 
 
 def hidden_texts(tones, layout, chart_map):
@@ -545,8 +547,7 @@ def _crossed(tones, pairs, chart_map):
     if tones.odd is None:
         return False
     low, high = pairs.corners()[[0, 2]]
-    share = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-    outline = low - RIM_MM + share * (high - low + 2 * RIM_MM)
+    outline = Bar("rim", *(low - RIM_MM), *(high - low + 2 * RIM_MM)).corners()
     places, odd = replace(tones, values=tones.odd).near(chart_map, outline)
     rim = ((places < low) | (places > high)).any(axis=1)
     return rim.sum() > 10 and (odd[rim] > RIM_TONE).mean() > RIM_SHARE
@@ -599,21 +600,6 @@ def _gaps(across, along, values, pairs, strips, noise):
     gaps, limits = np.nan_to_num(gaps, nan=-np.inf), np.nan_to_num(limits, nan=np.inf)
     tone = (2 * white + black[:, :-1] + black[:, 1:]) / 4
     return gaps, limits, float(light - dark), tone
-
-
-def _refusal(width_px, phase, bars, repeats, share):
-    """Why a pattern does not count as resolved."""
-    if width_px < 2:
-        return "below the Nyquist width"
-    if width_px < SMALLEST_PAIR_PX:
-        return "beats with the pixels"
-    if abs(bars - repeats) > 0.6:
-        return "wrong number of bars"
-    if abs(phase) > 50:  # a reversal is 180 degrees
-        return MOVED
-    if share < 0.75:  # of the strips
-        return "gaps do not stand out"
-    return ""
 
 
 def _measured(tones, bar, chart_map):

@@ -21,16 +21,15 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from mmqa_lab import published
-from mmqa_lab._checks import check_choice, check_columns, check_positive
+from mmqa_lab._checks import check_choice, check_columns, check_positive, refuse
 from mmqa_lab._results import Shown
 from mmqa_lab.chart_image.placing import ChartMap, four_corners
 from mmqa_lab.chart_image.reading import find_tones
-from mmqa_lab.charts import Layout, LinePairs, Text
+from mmqa_lab.charts import Bar, Layout, LinePairs, Text
 
 __all__ = [
     "MARKS", "PLACE_COLUMNS", "Agreement", "Crop", "agreement", "chart_site", "check_marks",
-    "choose_images", "colour_fringes", "expected_marks", "mark_limits", "quality_index",
-    "text_crops",
+    "choose_images", "colour_fringes", "expected_marks", "quality_index", "text_crops",
 ]  # fmt: skip
 
 ALONG, AHEAD, BEHIND = "orthogonal", "forward", "backward"
@@ -133,11 +132,10 @@ def text_crops(image: np.ndarray, layout: Layout, chart_map: ChartMap) -> list[C
     for element in layout.of_kind(Text):
         if element.name.startswith("label_"):
             continue
-        low, size = np.array([element.x, element.y]), np.array([element.width, element.cap])
-        high = low + size + element.cap * np.array([CROP_SIDES, CROP_ABOVE])
+        low, high = element.corners()[[0, 2]]
+        high = high + element.cap * np.array([CROP_SIDES, CROP_ABOVE])
         low = low - element.cap * np.array([CROP_SIDES, CROP_BELOW])
-        outline = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
-        pixels = chart_map.pixels(outline)
+        pixels = chart_map.pixels(Bar("crop", *low, *(high - low)).corners())
         if (pixels < 0).any() or (pixels > np.array(image.shape[::-1]) - 1).any():
             continue
         sizes = chart_map.pixel_sizes_mm((low + high)[None] / 2)[0]
@@ -189,12 +187,7 @@ def chart_site() -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["chart", "kind", "view", "corners"])
 
 
-def choose_images(
-    stations: pd.DataFrame,
-    corners: ArrayLike,
-    *,
-    distance: float,
-) -> pd.DataFrame:
+def choose_images(stations: pd.DataFrame, corners: ArrayLike, *, distance: float) -> pd.DataFrame:
     """Choose the image of a board by the paper's rules.
 
     For a board across the path it is the closest image at the required distance or farther (section
@@ -241,22 +234,16 @@ def choose_images(
     """
     distance = check_positive(distance, "distance", unit="m")
     check_columns(stations, PLACE_COLUMNS, "stations")
-    if len(stations) < 2:
-        raise ValueError(f"Invalid stations: {len(stations)} given. Must be two or more.")
+    refuse(len(stations) < 2, "stations", f"{len(stations)} given", "two or more")
     corners = four_corners(corners, columns=3)
     right, up = corners[[1, 3]] - corners[0] + corners[2] - corners[[3, 1]]
     right, up = right / np.linalg.norm(right), up / np.linalg.norm(up)
     normal = np.cross(right, up)
     away = stations[PLACE_COLUMNS].to_numpy(dtype=float) - corners.mean(axis=0)
     view = _view(right, normal, away)
-    seen = pd.DataFrame(
-        {
-            "distance_m": np.linalg.norm(away, axis=1),
-            "off_normal_deg": np.degrees(np.arctan2(np.abs(away @ right), away @ normal)),
-        },
-        index=stations.index,
-    )
-    seen = seen[away @ normal > 0]
+    angle = np.degrees(np.arctan2(np.abs(away @ right), away @ normal))
+    seen = {"distance_m": np.linalg.norm(away, axis=1), "off_normal_deg": angle}
+    seen = pd.DataFrame(seen, index=stations.index)[away @ normal > 0]
     if view != ALONG:
         seen = seen[seen["distance_m"] >= distance]
     if seen.empty:
@@ -313,11 +300,9 @@ def check_marks(marks):
     check_columns(marks, ("juror", "element", "mark"), "marks")
     for mark in marks["mark"].unique():
         check_choice(mark, "mark", MARKS)
-    if marks.duplicated(["juror", "element"]).any():
-        first = marks[marks.duplicated(["juror", "element"])].iloc[0]
-        raise ValueError(
-            f"Invalid marks: juror {first['juror']} marked {first['element']} twice. Must be once."
-        )
+    pairs = marks[["juror", "element"]]
+    for juror, element in pairs[pairs.duplicated()].to_numpy():
+        refuse(True, "marks", f"juror {juror} marked {element} twice", "once")
     return marks
 
 
@@ -389,34 +374,12 @@ def expected_marks(cap_px: ArrayLike) -> pd.DataFrame:
     >>> expected_marks([30.0, 11.3, 9.5, 5.0])[["mark", "best", "worst"]].values.tolist()
     [['a', 'a', 'a'], ['a', 'a', 'b'], ['b', 'b', 'c'], ['c', 'c', 'c']]
     """
-    limits = mark_limits(_judged())
+    limits = _limits()
     table = pd.DataFrame({"cap_px": np.atleast_1d(np.asarray(cap_px, dtype=float))})
     for name in ("mark", "best", "worst"):
         steps = [(table["cap_px"] < limits.loc[name, mark]).to_numpy() for mark in MARKS[:-1]]
         table[name] = np.array(MARKS, dtype=object)[np.sum(steps, axis=0)]
     return table
-
-
-def mark_limits(judged):
-    """Fewest pixels per capital height for marks a and b.
-
-    Parameters
-    ----------
-    judged : DataFrame
-        ``mark``, ``cap_px``, ``least_px`` and ``most_px`` (by rounding), a row per photograph.
-
-    Returns
-    -------
-    DataFrame
-        Columns a, b; rows ``mark`` (half way between neighbouring photographs), ``best``,
-        ``worst``. NaN where a mark or all worse ones are missing.
-    """
-    limits = pd.DataFrame(index=["mark", "best", "worst"], columns=list(MARKS[:-1]), dtype=float)
-    for mark in limits.columns:
-        up, down = judged[judged["mark"] <= mark], judged[judged["mark"] > mark]
-        half = (up["cap_px"].min() + down["cap_px"].max()) / 2
-        limits[mark] = [half, down["least_px"].max(), up["most_px"].min()]
-    return limits
 
 
 def colour_fringes(image: np.ndarray, layout: Layout, chart_map: ChartMap) -> pd.DataFrame:
@@ -461,11 +424,16 @@ def colour_fringes(image: np.ndarray, layout: Layout, chart_map: ChartMap) -> pd
 
 
 @lru_cache(maxsize=1)
-def _judged():
-    """The photographs of Table 1 with their marks and pixels per capital height."""
+def _limits():
+    """Fewest pixels per capital height for marks a and b: half way, best and worst."""
     table = published.table("pfeifer2021", "table_1").query("status != 'not_evaluated'")
     key = ["system", "distance_m", "view"]
     marks = table[table["quantity"] == "legibility"].set_index(key)["printed"].rename("mark")
     bars = table.query("quantity == 'pixel size' and direction == 'v'").set_index(key)["value"]
     sizes = {"cap_px": bars, "least_px": bars + ROUNDING_MM, "most_px": bars - ROUNDING_MM}
-    return pd.concat([marks, TEXT_MM / pd.DataFrame(sizes)], axis=1)
+    judged, limits = pd.concat([marks, TEXT_MM / pd.DataFrame(sizes)], axis=1), {}
+    for mark in MARKS[:-1]:
+        up, down = judged[judged["mark"] <= mark], judged[judged["mark"] > mark]
+        half = (up["cap_px"].min() + down["cap_px"].max()) / 2
+        limits[mark] = [half, down["least_px"].max(), up["most_px"].min()]
+    return pd.DataFrame(limits, index=["mark", "best", "worst"])

@@ -11,22 +11,22 @@ linear light to the values of image files and back.
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
-from io import BytesIO, StringIO
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
+from mmqa_lab._checks import check_choice, check_count, check_number, check_positive, refuse
 
 if TYPE_CHECKING:
     from matplotlib.path import Path as Outline
 
 __all__ = [
     *("Bar", "Layout", "LinePairs", "Marker", "Text"),
-    *("decode", "encode", "how_to_use", "imaging_chart", "layout_of", "point_chart", "reflectance"),
+    *("decode", "encode", "how_to_use", "imaging_chart", "point_chart", "reflectance"),
 ]
 __dir__ = __all__.copy
 
@@ -35,7 +35,6 @@ BLACK, WHITE = 0.0, 1.0
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Shares of red, green and blue in a grey tone (ITU-R BT.709)."""
 
-POINTS_PER_MM = 72 / 25.4
 
 GAMMAS = ("srgb", "linear")
 
@@ -53,9 +52,6 @@ BAR_MM = 800.0
 
 LENGTHS = {"x", "y", "width", "height", "size", "pair", "length", "cap"}
 """Fields of elements that are lengths."""
-
-TEXTS, COUNTS = ("name", "direction", "text", "font", "dictionary"), ("repeats", "identifier")
-"""Fields of a table that hold text, and those that hold whole numbers."""
 
 
 class _Rectangle:
@@ -334,16 +330,14 @@ class Layout(_Rectangle):
     def __post_init__(self):
         check_positive(self.width, "chart width", unit="mm")
         check_positive(self.height, "chart height", unit="mm")
-        if len(self._by_name) < len(self.elements):
-            raise ValueError(f"Invalid chart {self.name!r}: a name repeats. Must be distinct.")
+        repeats = len(self._by_name) < len(self.elements)
+        refuse(repeats, f"chart {self.name!r}", "a name repeats", "distinct")
         for element in self.elements:
             _check_element(element)
-            corners = element.corners()
-            if not ((corners >= 0) & (corners <= [self.width, self.height])).all():
-                raise ValueError(
-                    f"Invalid element {element.name!r}: from {corners[0]} to {corners[2]} mm. "
-                    f"Must lie within {self.width} mm x {self.height} mm."
-                )
+            low, high = element.corners()[[0, 2]]
+            inside = (low >= 0).all() and (high <= [self.width, self.height]).all()
+            within = f"within {self.width} mm x {self.height} mm"
+            refuse(not inside, f"element {element.name!r}", f"from {low} to {high} mm", within)
 
     @cached_property
     def _by_name(self):
@@ -386,36 +380,29 @@ class Layout(_Rectangle):
     def _drawn(self, form, metadata, notes=""):
         """The chart in a file format, at true size."""
         from matplotlib import style
+        from matplotlib.backends.backend_pdf import PdfPages
         from matplotlib.figure import Figure
         from matplotlib.patches import PathPatch
         from matplotlib.transforms import Affine2D
 
-        size = np.array([self.width, self.height]) * POINTS_PER_MM / 72
-        place, stream = Affine2D().scale(POINTS_PER_MM), BytesIO()
+        place, stream = Affine2D().scale(72 / 25.4), BytesIO()
         # a style that someone set must not change the size of the page
         with style.context(["default", {"svg.hashsalt": "mmqa_lab"}]):
+            size = self.width / 25.4, self.height / 25.4
             page = Figure(figsize=size, frameon=False, dpi=72)
             for element in self.elements:
                 for tone, outline in _shapes(element).items():
                     look = {"facecolor": _ink(tone), "lw": 0, "gid": element.name}
                     page.add_artist(PathPatch(outline, transform=place, **look))
-            if notes:
-                _save_with_notes(page, notes, stream, metadata)
-            else:
+            if not notes:
                 page.savefig(stream, format=form, metadata=metadata)
+                return stream.getvalue()
+            second = Figure(figsize=(8.27, 11.69))
+            second.text(0.09, 0.95, notes, va="top", size=9.5, linespacing=1.45)
+            with PdfPages(stream, metadata=metadata) as file:
+                file.savefig(page)
+                file.savefig(second)
         return stream.getvalue()
-
-
-def _save_with_notes(page, notes, stream, metadata):
-    """Save a page as PDF with a second one of text."""
-    from matplotlib.backends.backend_pdf import PdfPages
-    from matplotlib.figure import Figure
-
-    second = Figure(figsize=(8.27, 11.69))
-    second.text(0.09, 0.95, notes, va="top", size=9.5, linespacing=1.45)
-    with PdfPages(stream, metadata=metadata) as file:
-        file.savefig(page)
-        file.savefig(second)
 
 
 def how_to_use() -> str:
@@ -472,7 +459,22 @@ def imaging_chart(which: str = "grey") -> Layout:
     (800.0, 320.0, 'v')
     """
     file = Path(__file__).with_name(IMAGING[check_choice(which, "chart", tuple(IMAGING))])
-    return layout_of(file.read_text(encoding="utf-8"), name=f"imaging chart, {which}")
+    with file.open(encoding="utf-8", newline="") as table:
+        elements = tuple(map(_element, csv.DictReader(table)))
+    return Layout(f"imaging chart, {which}", SIDE_MM, SIDE_MM, elements)
+
+
+def _element(row):
+    """An element from a row of a table; what its kind does not have is empty."""
+    kind = ELEMENTS[row.pop("kind")]
+    read = {one.name: {"str": str, "int": int}.get(one.type, _numbers) for one in fields(kind)}
+    return kind(**{name: read[name](text) for name, text in row.items() if text})
+
+
+def _numbers(text):
+    """A number, or several with spaces between."""
+    numbers = tuple(map(float, text.split()))
+    return numbers[0] if len(numbers) == 1 else numbers
 
 
 def point_chart(*, seed: int = 0) -> Layout:
@@ -525,58 +527,6 @@ def point_chart(*, seed: int = 0) -> Layout:
     return Layout(f"point chart, seed {seed}", SIDE_MM, SIDE_MM, elements)
 
 
-def layout_of(table: str, *, name: str, width: float = 1000.0, height: float = 1000.0) -> Layout:
-    """Return the layout that a table of elements describes.
-
-    Parameters
-    ----------
-    table : str
-        CSV text with a row for each element: its ``kind`` and its fields, lengths in mm; colours
-        are three numbers with spaces between. What a kind does not have is empty.
-    name : str
-        Of the chart.
-    width, height : float
-        Size of the chart, mm.
-
-    Returns
-    -------
-    Layout
-
-    Raises
-    ------
-    ValueError
-        If a kind is unknown, a field is missing, or a field that must be a number is not.
-
-    Examples
-    --------
-    >>> table = "kind,name,x,y,width,height\\nBar,a,10,10,5,30\\n"
-    >>> layout_of(table, name="one bar", width=100, height=50)["a"].height
-    30.0
-    """
-    elements = []
-    for row in csv.DictReader(StringIO(table)):
-        kind = ELEMENTS[check_choice(row.get("kind"), "kind", tuple(ELEMENTS))]
-        try:
-            given = {key: _value(key, text) for key, text in row.items() if text and key != "kind"}
-            elements.append(kind(**given))
-        except (TypeError, ValueError) as error:
-            raise ValueError(
-                f"Invalid element {row.get('name')!r} of a chart: {error}. Must have the fields "
-                f"of {kind.__name__}."
-            ) from None
-    return Layout(name, width, height, tuple(elements))
-
-
-def _value(name, text):
-    """A field from what stands in a table."""
-    if name in TEXTS:
-        return text
-    if name in COUNTS:
-        return int(text)
-    numbers = tuple(float(part) for part in text.split())
-    return numbers[0] if len(numbers) == 1 else numbers
-
-
 def reflectance(layout: Layout, *, cell: float, colour: bool = False) -> np.ndarray:
     """Return the mean tone of each square cell of a chart.
 
@@ -609,8 +559,7 @@ def reflectance(layout: Layout, *, cell: float, colour: bool = False) -> np.ndar
     """
     cell = check_positive(cell, "cell", unit="mm")
     columns, rows = (int(np.ceil(side / cell - 1e-9)) for side in (layout.width, layout.height))
-    if columns * rows > 1e9:
-        raise ValueError(f"Invalid cell {cell} mm: {columns * rows} cells. Must be 1e9 or fewer.")
+    refuse(columns * rows > 1e9, f"cell {cell} mm", f"{columns * rows} cells", "1e9 or fewer")
     if colour:
         return np.stack([_painted(layout, (rows, columns), cell, w) for w in np.eye(3)], axis=2)
     return _painted(layout, (rows, columns), cell, LUMINANCE)
@@ -653,11 +602,8 @@ def _painted(layout, shape, cell, weights):
     """The image of a chart, with these weights of red, green and blue."""
     image = np.full(shape, WHITE, dtype=np.float32)
     for element in layout.elements:
-        element = _seen(element, weights)
-        if isinstance(element, Text):
-            _add_text(image, element, cell)
-        else:
-            _add_grid(image, element, cell)
+        add = _add_text if isinstance(element, Text) else _add_grid
+        add(image, _seen(element, weights), cell)
     return image
 
 
@@ -729,20 +675,18 @@ def _shapes(element):
 def _add_grid(image, element, cell):
     """Add the difference between a grid's tones and the ground to the image."""
     x, y, tones = element.grid()
-    first_column, across = _overlaps(x, cell, image.shape[1])
-    first_row, upward = _overlaps(y, cell, image.shape[0])
-    part = upward.T @ (tones - element.ground) @ across
-    rows, columns = part.shape
-    image[first_row : first_row + rows, first_column : first_column + columns] += part
+    (columns, across), (rows, upward) = _overlaps(x, cell), _overlaps(y, cell)
+    part = image[rows, columns]
+    change = upward.T @ (tones - element.ground) @ across
+    part += change[: part.shape[0], : part.shape[1]]
 
 
-def _overlaps(edges, cell, count):
-    """The share of each cell that each interval covers, from the first cell that any covers."""
-    first = int(np.floor(edges[0] / cell))
-    last = min(int(np.ceil(edges[-1] / cell)), count)
+def _overlaps(edges, cell):
+    """The cells that intervals cover, and the share of each cell that each of them covers."""
+    first, last = int(np.floor(edges[0] / cell)), int(np.ceil(edges[-1] / cell))
     low = np.arange(first, last) * cell
     inner = np.minimum(edges[1:, None], low + cell) - np.maximum(edges[:-1, None], low)
-    return first, np.clip(inner, 0, None) / cell
+    return slice(first, last), np.clip(inner, 0, None) / cell
 
 
 def _add_text(image, element, cell):
