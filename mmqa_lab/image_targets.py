@@ -16,6 +16,7 @@ from scipy import stats
 
 from mmqa_lab import mtf, radiometry
 from mmqa_lab._checks import check_choice, check_columns, check_known, check_number, refuse
+from mmqa_lab._results import sentences
 from mmqa_lab.charts import decode
 
 if TYPE_CHECKING:
@@ -102,8 +103,8 @@ def _known_targets(targets, needed, bands):
     for row, target in enumerate(targets[list(needed)].to_dict("records"), start=1):
         for name, value in target.items():
             check_number(value, f"{name} of target {row}", unit="px")
-    names = targets["name"] if "name" in targets else range(1, len(targets) + 1)
-    return targets.assign(name=names)
+    usual = SETTINGS | {"name": range(1, len(targets) + 1)}
+    return targets.assign(**{name: usual[name] for name in usual if name not in targets})
 
 
 def _region(band, target):
@@ -141,9 +142,9 @@ def _star(band, target):
     known = {"cycles": int(target["cycles"]), "radius_px": target["radius_px"]}
     star = mtf.measure_star(band, (target["x_px"], target["y_px"]), **known)
     figures = _interval("mtf50", "_per_px", star.mtf50, 1.96 * star.mtf50_sigma)
-    remarks = [star.remark] * bool(star.remark)
-    remarks += ["the star does not show the frequency of MTF50"] * bool(np.isnan(star.mtf50))
-    return figures | {"mtf10_per_px": star.at(0.1), "remark": "; ".join(remarks)}
+    unseen = np.isnan(star.mtf50), "the star does not show the frequency of MTF50"
+    remark = "; ".join(sentences((star.remark, star.remark), unseen))
+    return figures | {"mtf10_per_px": star.at(0.1), "remark": remark}
 
 
 def _sharpness(band, *_):
@@ -192,16 +193,10 @@ def _calibrated(band, targets, number):
     """Gain and offset of a band from its unsaturated targets of known radiance."""
     patches = _patches(band, targets, "radiance", number)
     used = patches[(patches["saturated_share"] == 0) & patches["known"].notna()]
-    setting = {
-        k: targets.get(k, pd.Series(v, targets.index))[used.index] for k, v in SETTINGS.items()
-    }
-    exposure = setting["exposure"] * [
-        radiometry.relative_exposure(*pair)
-        for pair in zip(setting["time_s"], setting["f_number"], strict=True)
-    ]
-    fit = radiometry.fit_sensor(
-        used["known"], used["mean_dn"], std_dn=used["std_dn"], exposure=exposure
-    )
+    taken = targets.loc[used.index, list(SETTINGS)].to_numpy()
+    exposure = [one * radiometry.relative_exposure(*setting) for one, *setting in taken]
+    errors = {"std_dn": used["std_dn"], "exposure": exposure}
+    fit = radiometry.fit_sensor(used["known"], used["mean_dn"], **errors)
     reach = stats.t.ppf(0.975, fit.freedom) * fit.std
     figures = _interval("gain", "", fit.gain, reach[0])
     figures |= _interval("offset", "_dn", fit.offset, reach[1])
@@ -230,8 +225,8 @@ def _reflectances(band, targets, number):
         value = float(line.reflectance(row.mean_dn, anisotropy=row.anisotropy))
         value = np.nan if saturated else value
         reach = factor * float(line.std(row.mean_dn, std_dn=row.std_error_dn)) / row.anisotropy
-        remarks = ["saturated"] * saturated + ["beyond the reference targets"] * (not inside)
-        remarks += [line.remark] * bool(line.remark)
+        beyond = not inside, "beyond the reference targets"
+        remarks = sentences((saturated, "saturated"), beyond, (line.remark, line.remark))
         doubted = pd.concat([known, patches.loc[[row.Index]]])
         remarks += _said(doubted["name"], doubted["uneven"])
         figures = {"target": row.name} | _interval("reflectance", "", value, reach)

@@ -955,33 +955,21 @@ def _warn(block, estimate, value, std, share):
     rings = pd.Series(share[counts]).groupby(ring)
     uneven = rings.mean().abs() > FALLS_OTHERWISE * spread / np.sqrt(rings.size())
     of_image = pd.Series(np.abs(share)).groupby(block.image)
-    loose = block.images[
-        (of_image.quantile(0.75) > LOOSE * max(of_image.quantile(0.75).median(), RELATIVE_STD / 10))
-        & (of_image.size() >= FEWEST_TIES)
-    ]
-    doubts = [
-        (
-            len(doubtful) > 0,
-            f"Control targets {', '.join(map(str, doubtful))} contradict the others, as one in "
-            "shadow does: the gains may be wrong by more than their deviations.",
-        ),
-        (
-            odd > 0.01,
-            f"{odd:.0%} of the observations contradict the others, as those in shadow do: they do "
-            "not count.",
-        ),
-        (
-            len(loose) > 0,
-            f"The observations of images {', '.join(map(str, loose))} contradict each other, as "
-            "where a part lies under a cloud: their gains may be wrong.",
-        ),
-        (
-            uneven.any(),
-            "The light falls off to the corners otherwise than radial and its square say: the "
-            "gains may be wrong by more than their deviations.",
-        ),
-    ]
-    for text in sentences(*doubts):
+    wide = of_image.quantile(0.75)
+    loose = (wide > LOOSE * max(wide.median(), RELATIVE_STD / 10)) & (
+        of_image.size() >= FEWEST_TIES
+    )
+    known, images = (", ".join(map(str, part)) for part in (doubtful, block.images[loose]))
+    gains = "the gains may be wrong by more than their deviations."
+    shaded = f"{odd:.0%} of the observations contradict the others, as those in shadow do"
+    clouded = f"The observations of images {images} contradict each other"
+    falls = "The light falls off to the corners otherwise than radial and its square say"
+    for text in sentences(
+        (known, f"Control targets {known} contradict the others, as one in shadow does: {gains}"),
+        (odd > 0.01, f"{shaded}: they do not count."),
+        (images, f"{clouded}, as where a part lies under a cloud: their gains may be wrong."),
+        (uneven.any(), f"{falls}: {gains}"),
+    ):
         warnings.warn(text, stacklevel=3)
 
 

@@ -207,6 +207,16 @@ def test_an_edge_that_is_not_one_straight_unclipped_edge_says_why(kind, words, s
     assert re.search(words, said)
 
 
+@pytest.mark.parametrize("draw", [9003, 9007, 9014, 9021, 1, 2])
+def test_sharpening_is_said_where_noise_is_strong_and_alone(draw):
+    sharp, plain = (
+        odd_edge(kind, np.random.default_rng(draw), noise=0.05)[0]
+        for kind in ("sharpened", "plain")
+    )
+    assert "sharpened" in fit_edge(sharp).remark
+    assert fit_edge(plain).remark == ""
+
+
 @settings(max_examples=6, deadline=None)
 @given(
     seed=st.integers(0, 10**6),
