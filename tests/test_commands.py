@@ -131,6 +131,11 @@ def test_what_is_empty_or_wide_fits_the_terminal():
     assert machine.as_text(wide[:0]).splitlines()[-1] == "none"
 
 
+def test_a_backslash_in_a_name_does_not_turn_a_table_round():
+    table = pd.DataFrame({"file": ["C:\\drives\\there.laz"], "points": [3], "f": [2.0]})
+    assert machine.as_text(table).splitlines()[0].split() == ["file", "points", "f"]
+
+
 @pytest.mark.parametrize("files", [1, 2, 9])
 def test_coordinates_are_printed_to_the_centimetre_in_degrees_too(files, tmp_path, capfd):
     place = np.array([11.5123456, 48.1234567, 512.34])

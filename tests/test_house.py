@@ -65,7 +65,6 @@ OTHER_TESTS = {
     "run/exercises": "students",
     "run/notebooks": "studies",
     "run/pages": "run run_site",
-    "run/store": "stored",
     "simulate": "house",
     "simulate/canyon": "study_lhd_weight",
     "simulate/streets": "poles",

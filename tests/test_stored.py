@@ -11,7 +11,7 @@ from PIL import Image
 
 from mmqa_lab.io import write_atomically
 from mmqa_lab.run import write_record
-from mmqa_lab.run.store import code_hash, store
+from mmqa_lab.run.notebooks import code_hash, store
 from mmqa_lab.studies import STUDIES, TOOLS, notebooks_folder
 
 LARGEST_BYTES = 1_000_000

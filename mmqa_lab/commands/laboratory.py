@@ -160,14 +160,11 @@ def studies(
     """
     from mmqa_lab.io import own_folder
     from mmqa_lab.run import notebooks, pages, verdict
-    from mmqa_lab.run import store as storing
     from mmqa_lab.studies import STUDIES, TOOLS, chosen, notebooks_folder, results_folder
 
     if site is not None:
-        from mmqa_lab.run.pages import write_site
-
         with own_folder(site):
-            print(write_site(site, notebooks_folder(), [*chosen(names or []), *TOOLS]))
+            print(pages.write_site(site, notebooks_folder(), [*chosen(names or []), *TOOLS]))
         return 0
     usual = results_folder(notebooks_folder())
     folder = (out or (usual / "quick" if quick else usual)).resolve()
@@ -182,7 +179,7 @@ def studies(
             print(f"{study.notebook:<24} {record['seconds']:6.1f} s  {verdict(record)}", flush=True)
             pages.write_pages(folder, STUDIES)
     if store:
-        storing.store(notebooks_folder(), folder, wanted)
+        notebooks.store(notebooks_folder(), folder, wanted)
     return int(failed)
 
 

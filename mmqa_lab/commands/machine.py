@@ -212,10 +212,11 @@ def as_text(frame):
         frame[name] = [f"{round(one, 7):.10g}".replace("nan", "") for one in frame[name]]
     first = frame.columns[0]
     shown = frame.set_index(first).rename_axis(index=None, columns=first)
-    style = {"float_format": _figure, "line_width": WIDTH, "na_rep": ""}
+    style = {"float_format": _figure, "na_rep": ""}
     text = shown.to_string(**style)
-    if "\\" in text and len(shown) <= 6:  # pandas marks where it broke the lines
-        text = shown.T.rename_axis(index=None, columns="").to_string(**style)
+    if len(text.splitlines()[0]) > WIDTH:
+        upright = shown.T.rename_axis(index=None, columns="")
+        text = (upright if len(shown) <= 6 else shown).to_string(line_width=WIDTH, **style)
     return "\n".join([text, *(textwrap.fill(line, WIDTH - 1) for line in below)])
 
 

@@ -280,16 +280,31 @@ def _cell(row, layout, measure, column):
 
 def _number(row, measure):
     """Relation, printed string, value and rounding interval of one cell; None where it is empty."""
-    if row.get("status") == "not_resolved":  # a dash: coarser than the chart, or not measurable
-        bound = (COARSEST_MM[row["direction"]], np.inf)
-        bound = bound if row["quantity"] == "line-pair width" else (np.nan, np.nan)
-        return "=", row["printed"], np.nan, *bound
+    if row.get("status") == "not_resolved":
+        return _dash(row)
     if row.get("relation") == "range":
-        low, high = _interval(row["low"], "=")[0], _interval(row["high"], "=")[1]
-        return "range", f"{row['low']} to {row['high']}", np.nan, low, high
+        return _range(row)
     if "low" in row:
-        value = (row["low"] or row["high"]) if row["relation"] else ""
-        row, measure = {"relation": row["relation"], "value": value}, "value"
+        bound = (row["low"] or row["high"]) if row["relation"] else ""
+        return _plain({"relation": row["relation"], "value": bound}, "value")
+    return _plain(row, measure)
+
+
+def _dash(row):
+    """A printed dash: coarser than the chart, or not measurable."""
+    coarser = row["quantity"] == "line-pair width"
+    ends = (COARSEST_MM[row["direction"]], np.inf) if coarser else (np.nan, np.nan)
+    return "=", row["printed"], np.nan, *ends
+
+
+def _range(row):
+    """A printed range."""
+    low, high = _interval(row["low"], "=")[0], _interval(row["high"], "=")[1]
+    return "range", f"{row['low']} to {row['high']}", np.nan, low, high
+
+
+def _plain(row, measure):
+    """A printed number, with a relation or without."""
     digits = FOOTNOTES.get(row.get("printed"), row[measure])
     if digits == "":
         return None

@@ -190,7 +190,7 @@ class Run:
     ) -> None:
         """Keep the study's answer, its numbers, and the names of the figures that show it.
 
-        The index page and :mod:`mmqa_lab.run.store` take them from the run record.
+        The index page and :mod:`mmqa_lab.run.notebooks` take them from the run record.
 
         Parameters
         ----------

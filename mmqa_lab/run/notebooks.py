@@ -1,19 +1,30 @@
-"""Run notebooks without a screen, each in its own kernel."""
+"""Run notebooks without a screen, each in its own kernel, and store what full runs leave.
 
+What is stored in the repository: the notebooks with their outputs, the thumbnails of their key
+figures, the ledger and the picture of the front page.
+"""
+
+import base64
+import hashlib
+import io
 import os
 import subprocess
 import time
 from pathlib import Path
 
 import nbformat
+import pandas as pd
 from nbclient import NotebookClient
 from nbclient.exceptions import CellExecutionError, DeadKernelError
+from PIL import Image
 
+from mmqa_lab import plots
 from mmqa_lab.io import write_atomically
+from mmqa_lab.published.ledger import collect, summary
 from mmqa_lab.run import new_record, read_record, write_record
-from mmqa_lab.run.pages import notebook_page
+from mmqa_lab.run.pages import ANSWERS, LEDGER, notebook_page, stored_answers
 
-__all__ = ["ENVIRONMENT", "execute", "inject", "run_study"]
+__all__ = ["ENVIRONMENT", "code_hash", "execute", "inject", "run_study", "store"]
 
 ENVIRONMENT = {
     "MMQA_HEADLESS": "1",
@@ -23,6 +34,15 @@ ENVIRONMENT = {
     "PYTHONDONTWRITEBYTECODE": "",  # otherwise each kernel compiles its libraries, in 6 s
     "TQDM_DISABLE": "1",
 }
+
+# Widths of stored figures, which is 178 mm at 143 dpi, and of thumbnails.
+WIDTH_PX, THUMBNAIL_PX = 1000, 280
+
+# Figures of a chart against tasks, for the metric cards, in the folder of results.
+TASKS = "fitness/tasks_by_figures.csv"
+
+# The first figure of the README, in the folder of results.
+KEY_FIGURE = "anisotropy/patterns.png"
 
 
 def run_study(study, folder, *, quick=False):
@@ -87,3 +107,97 @@ def execute(notebook, folder, *, results):
     except DeadKernelError as error:  # also if the run is interrupted
         return str(error)
     return ""
+
+
+def store(notebooks, folder, studies):
+    """Store the outputs of full runs.
+
+    Parameters
+    ----------
+    notebooks : path
+        Folder of the notebooks. They are overwritten with their outputs.
+    folder : path
+        Folder of the results.
+    studies : list of mmqa_lab.studies.Study
+        Studies and tools.
+
+    Raises
+    ------
+    ValueError
+        If a study has no complete full run, or if its notebook changed after the run.
+    """
+    folder, notebooks = Path(folder).resolve(), Path(notebooks)
+    answers = stored_answers(notebooks)
+    for study in studies:
+        record = read_record(folder / study.stem)
+        if record.get("quick", True) or record["failure"]:
+            raise ValueError(f"Invalid results of {study.stem}. Must be of a full run to its end.")
+        ran = nbformat.read(folder / study.stem / f"{study.stem}.ipynb", as_version=4)
+        plain = nbformat.read(study.path, as_version=4)
+        if [cell.source for cell in ran.cells] != [cell.source for cell in plain.cells]:
+            raise ValueError(f"Invalid results of {study.stem}: the notebook changed. Must be run.")
+        text = nbformat.writes(_lightened(ran, plain)).replace(str(folder), "results")
+        write_atomically(study.path, text + "\n")
+        if figure := record["answer"]["thumbnail"]:  # a tool has none
+            answers[study.stem] = record["answer"]["sentence"]
+            thumbnail = notebooks / "thumbnails" / f"{study.notebook}.png"
+            _store_figure(folder / study.stem / f"{figure}.png", thumbnail, THUMBNAIL_PX)
+    write_atomically(
+        notebooks / ANSWERS, pd.DataFrame(answers.items(), columns=["study", "answer"])
+    )
+    if (folder / TASKS).is_file():
+        write_atomically(notebooks / Path(TASKS).name, pd.read_csv(folder / TASKS))
+    if (folder / KEY_FIGURE).is_file():
+        _store_figure(folder / KEY_FIGURE, notebooks / "key_figure.png", 1000)
+        rows = collect(folder)
+        write_atomically(notebooks / LEDGER, rows)
+        _store_ledger(summary(rows), notebooks / "ledger.png")
+
+
+def code_hash(notebook):
+    """SHA-256 of a notebook's code, which tells whether stored outputs belong to this code."""
+    code = [cell.source for cell in notebook.cells if cell.cell_type == "code"]
+    return hashlib.sha256("\n\n".join(code).encode()).hexdigest()
+
+
+def _lightened(ran, kept):
+    """The notebook with its outputs, without widgets and stderr, and with small pictures."""
+    ran.metadata = {**kept.metadata, "mmqa_lab": {"code": code_hash(ran)}}
+    for cell, plain in zip(ran.cells, kept.cells, strict=True):
+        cell.metadata = plain.metadata
+        if cell.cell_type == "code":
+            cell.outputs = [_small(out) for out in cell.outputs if out.get("name") != "stderr"]
+    return ran
+
+
+def _small(output):
+    """An output with a reduced picture."""
+    if "image/png" in output.get("data", {}):
+        small = _shrunk(base64.b64decode(output["data"]["image/png"]), WIDTH_PX)
+        output["data"] = {"image/png": base64.b64encode(small).decode()}
+    return output
+
+
+def _shrunk(content, width):
+    """A PNG file, reduced to a width and to 256 colours."""
+    picture, small = Image.open(io.BytesIO(content)).convert("RGB"), io.BytesIO()
+    picture.thumbnail((width, 10 * width), Image.Resampling.LANCZOS)
+    picture.quantize(method=Image.Quantize.MAXCOVERAGE).save(small, "png", optimize=True)
+    return small.getvalue()
+
+
+def _store_figure(path, target, width):
+    """Store a figure of a run, reduced to a width."""
+    content = _shrunk(path.read_bytes(), width)
+    write_atomically(target, lambda file: file.write_bytes(content))
+
+
+def _store_ledger(counts, target):
+    """Draw the verdicts on the results of each source as stacked bars."""
+    with plots.style():
+        names = ("green", "sky", "orange", "vermilion", "grey", "black")
+        bars = {"stacked": True, "color": [plots.COLOURS[name] for name in names]}
+        ax = counts.drop(index="all")[::-1].plot.barh(figsize=(7, 2.4), **bars)
+        ax.set(xlabel="printed numbers", ylabel="")
+        ax.legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+        write_atomically(target, lambda file: ax.figure.savefig(file, dpi=120))

@@ -41,7 +41,7 @@ FORMULA = re.compile(r"\$\$(.+?)\$\$|(?<![\\$])\$(?![\s$])([^$]+?)(?<![\s\\])\$"
 CAPTION = re.compile(r'\bseen="([^"]+)"')
 HEADLINE = re.compile(r"^#+ +(.+)", re.MULTILINE)
 
-# File of the stored answers in the folder of the notebooks, see :mod:`mmqa_lab.run.store`.
+# File of the stored answers in the folder of the notebooks, see :mod:`mmqa_lab.run.notebooks`.
 ANSWERS = "answers.csv"
 
 # File of the stored ledger there.

@@ -240,31 +240,41 @@ def needed_statements(cells, names):
     >>> needed_statements(["a = 1; b = 2", "a.real; plot(a)", "c = a + 1\\nc.sort()"], {"c"})
     ['a = 1', 'c = a + 1', 'c.sort()']
     """
-    bodies = [ast.parse(TransformerManager().transform_cell(text)).body for text in cells]
-    rows = [(node, ast.unparse(node), *_names_of(node)) for body in bodies for node in body]
-    tools = {name for node, *_, done in rows if isinstance(node, IMPORTS) for name in done}
-    reads = {node.name: read for node, _, read, _ in rows if isinstance(node, ast.FunctionDef)}
-    parts = [part for node, *_ in rows for part in ast.walk(node) if isinstance(part, ast.Assign)]
-    calls = [part for part in parts if isinstance(part.value, ast.Call)]
-    random = [part for part in calls if ast.unparse(part.value.func).endswith("default_rng")]
-    drawn, kept, wanted, more = set().union(*map(_set_by, random)), [], set(), set(names)
-    for node, text, read, done in reversed(rows):
-        while more - wanted:
-            wanted |= more
-            more = set().union(*(reads[name] for name in wanted & reads.keys()))
-        needed = wanted & (done - tools | read & drawn) and not text.startswith("run.")
+    tree = ast.parse("".join(TransformerManager().transform_cell(text) for text in cells))
+    rows = [(node, *_names_of(node)) for node in tree.body]
+    modules = set().union(*(done for node, _, done in rows if isinstance(node, IMPORTS)))
+    functions = {node.name: read for node, read, _ in rows if isinstance(node, ast.FunctionDef)}
+    generators, wanted, kept = _generators(tree), _with_inner(names, functions), []
+    for node, read, done in reversed(rows):
+        text = ast.unparse(node)
+        needed = wanted & (done - modules | read & generators) and not text.startswith("run.")
         if needed or isinstance(node, IMPORTS):
-            kept.append(text)
-            wanted -= _set_by(node)
-            more = read
-    return kept[::-1]
+            kept.insert(0, text)
+            wanted = wanted - _set_by(node) | _with_inner(read, functions)
+    return kept
+
+
+def _with_inner(names, functions):
+    """Names, and those that the functions among them read."""
+    found, inner = set(), set(names)
+    while inner - found:
+        found |= inner
+        inner = set().union(*(functions[name] for name in found & functions.keys()))
+    return found
+
+
+def _generators(tree):
+    """The names that stand for random generators."""
+    calls = [one for one in ast.walk(tree) if isinstance(getattr(one, "value", None), ast.Call)]
+    made = [one for one in calls if ast.unparse(one.value.func).endswith("default_rng")]
+    return set().union(*map(_set_by, made))
 
 
 def _set_by(node):
     """The names that an assignment surely sets."""
-    places = node.targets if isinstance(node, ast.Assign) else []
-    names = [part for place in places for part in ast.walk(place) if isinstance(part, ast.Name)]
-    return {name.id for name in names if isinstance(name.ctx, ast.Store)}
+    places = ast.walk(ast.Tuple(node.targets)) if isinstance(node, ast.Assign) else ()
+    stored = [part for part in places if isinstance(getattr(part, "ctx", None), ast.Store)]
+    return {part.id for part in stored if isinstance(part, ast.Name)}
 
 
 def _given_names(code):

@@ -21,6 +21,7 @@ FAULTS = (
     ("commands", 'or text.startswith("Invalid")', "or text", "test_commands.py"),
     ("commands", "if backend and backend in text", "if False", "test_commands.py"),
     ("commands", "if len(errors) == len(files):", "if errors:", "test_commands.py"),
+    ("commands", "if len(text.splitlines()[0]) > WIDTH:", 'if "\\\\" in text:', "test_commands.py"),
     ("cloud", 'path = path[["easting_m", "northing_m"]]', "pass", "test_test_field.py"),
     ("test_field", "default_rng(0).integers", "default_rng().integers", "test_test_field.py"),
     ("test_field", "if not len(targets):", "if False:", "test_test_field.py"),
