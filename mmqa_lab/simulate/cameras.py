@@ -235,9 +235,8 @@ def _window(layout, chart_map, margin):
 def _exposed(layout, chart_map, size, optics, colour):
     """The mean tone in each pixel after motion, point spread and integration."""
     centre = np.array([[layout.width / 2, layout.height / 2]])
-    cell = max(
-        chart_map.pixel_sizes_mm(centre).min() / FINE_CELLS, max(layout.corners()[2]) / 12_000
-    )
+    pixel, finest = chart_map.pixel_sizes_mm(centre).min(), max(layout.corners()[2]) / 12_000
+    cell = max(pixel / FINE_CELLS, finest)
     printed = reflectance(layout, cell=cell, colour=colour)
     travel = np.asarray(optics.travel, dtype=float)
     instants = 1
@@ -254,9 +253,8 @@ def _exposed(layout, chart_map, size, optics, colour):
         samples = cv2.GaussianBlur(samples, (0, 0), FINE_CELLS * np.sqrt(left))
     if optics.defocus_px > 0:
         samples = cv2.filter2D(samples, -1, _disc(optics.defocus_px * FINE_CELLS))
-    return samples.reshape(size[1], FINE_CELLS, size[0], FINE_CELLS, *samples.shape[2:]).mean(
-        axis=(1, 3)
-    )
+    cells = size[1], FINE_CELLS, size[0], FINE_CELLS
+    return samples.reshape(*cells, *samples.shape[2:]).mean(axis=(1, 3))
 
 
 def _moved(chart_map, travel, t):

@@ -208,9 +208,8 @@ def canyon(
     (['C1', 'C2', 'C3', 'TLS'], np.True_)
     """
     angle_noise_deg = check_number(angle_noise_deg, "angle_noise_deg", low=0)
-    shared = SHARED_BIAS_M
-    if displacement_m is not None:
-        shared = (check_number(displacement_m, "displacement_m", low=0, unit="m"),) * 2
+    shared = SHARED_BIAS_M if displacement_m is None else (displacement_m, displacement_m)
+    check_number(shared[0], "displacement_m", low=0, unit="m")
     rng = np.random.default_rng(seed)
     buildings = _buildings(rng)
     ends, street = _edges(buildings, rng)
@@ -428,8 +427,7 @@ def _survey(name, ends, street, rows, positioning, angle_noise_deg, rng):
     streets = np.concatenate([street[edge], rng.integers(len(STREETS), size=strays)])
     displacement = positioning.at(found.mean(axis=1), streets)
     angle = angle_noise_deg * (0.25 if name == "TLS" else 1.0)
-    noises = angle, POSITION_NOISE_M[name], END_NOISE_M
-    found = _noisy(found, *noises, rng) + displacement[:, None]
+    found = _noisy(found, angle, POSITION_NOISE_M[name], rng) + displacement[:, None]
     flip = rng.random(len(found)) < 0.5
     found[flip] = found[flip, ::-1]
     order = rng.permutation(len(found))
@@ -463,7 +461,7 @@ def _clutter(n, rng):
     return np.stack([middle - half, middle + half], axis=1)
 
 
-def _noisy(ends, angle_deg, position, end, rng):
+def _noisy(ends, angle_deg, position, rng):
     """Segments with their ends moved along, directions turned and places shifted at random."""
     vectors = ends[:, 1] - ends[:, 0]
     sizes = lengths(ends)
@@ -473,7 +471,7 @@ def _noisy(ends, angle_deg, position, end, rng):
     tilt -= (tilt * unit).sum(axis=1, keepdims=True) * unit
     turned = unit + tilt * (sigma / np.sqrt(2))[:, None]
     turned /= np.linalg.norm(turned, axis=1, keepdims=True)
-    half = sizes[:, None] / 2 + rng.normal(0, end, (len(ends), 2)) * [-1, 1]
+    half = sizes[:, None] / 2 + rng.normal(0, END_NOISE_M, (len(ends), 2)) * [-1, 1]
     half = np.maximum(half, 0.25)
     middle = ends.mean(axis=1) + rng.normal(0, position, unit.shape)
     return np.stack([middle - half[:, :1] * turned, middle + half[:, 1:] * turned], axis=1)

@@ -19,20 +19,9 @@ from numpy.typing import ArrayLike
 from mmqa_lab._checks import check_choice, check_positive
 from mmqa_lab._data import read_toml
 from mmqa_lab.cloud import Cloud
+from mmqa_lab.simulate import surfaces
 from mmqa_lab.simulate.scan import Scanner, scan
 from mmqa_lab.simulate.scenes import Scene
-from mmqa_lab.simulate.surfaces import (
-    Surface,
-    board,
-    box,
-    cylinder,
-    disc,
-    foliage,
-    ground,
-    group,
-    rectangle,
-    wall,
-)
 from mmqa_lab.simulate.systems import PRESETS
 from mmqa_lab.simulate.trajectories import Trajectory, straight
 
@@ -154,7 +143,7 @@ def street(plan: Plan | str, *, length: float, seed: int) -> Street:
         plan = PLANS[check_choice(plan, "plan", tuple(PLANS))]
     length = check_positive(length, "length", unit="m")
     blocks = _buildings(plan, length, seed)
-    things, rows = [ground(centre=(0, length / 2), size=(160, length + 120))], []
+    things, rows = [surfaces.ground(centre=(0, length / 2), size=(160, length + 120))], []
     for parts, truth in _poles(plan, length, seed, blocks):
         rows.append(truth | {"surface": len(things)})
         things += parts
@@ -191,26 +180,20 @@ def drive(
     return scan(made.scene, scanner, made.trajectory(speed), seed=seed, **options)
 
 
-def visible_targets(
-    made: Street,
-    cloud: Cloud,
-    *,
-    minimum_points: int = 10,
-    minimum_sweeps: int = 5,
-    minimum_span: float = 1.0,
-) -> pd.DataFrame:
+def visible_targets(made: Street, cloud: Cloud, *, minimum_sweeps: int = 5) -> pd.DataFrame:
     """Return the targets with what a cloud shows of them.
+
+    A visible pole has ten points or more on its shaft, from so many scan lines or more, over a
+    height of 1 m or more (2nd to 98th percentile). Trunks count up to the crown only: the part
+    within the crown is not pole-like.
 
     Parameters
     ----------
     made : Street
     cloud : Cloud
         With ``surface`` and ``scan_line``.
-    minimum_points, minimum_sweeps : int
-        A visible pole has at least that many points on its shaft, from that many scan lines,
-    minimum_span : float
-        over that height (2nd to 98th percentile), metres. Trunks count up to the crown only: the
-        part within the crown is not pole-like.
+    minimum_sweeps : int
+        Fewest scan lines of a visible pole.
 
     Returns
     -------
@@ -218,22 +201,15 @@ def visible_targets(
         The targets with ``points``, ``sweeps``, ``span_m``, ``visible``, and ``distance_m`` from
         the vehicle's path.
     """
-    points = pd.DataFrame(
-        {"surface": cloud["surface"], "line": cloud["scan_line"], "z": cloud.points[:, 2]}
-    )
+    told = {"surface": cloud["surface"], "line": cloud["scan_line"], "z": cloud.points[:, 2]}
+    points = pd.DataFrame(told)
     points = points[points["surface"].isin(made.targets["surface"])]
     top = made.targets.set_index("surface")[["z_base_m", "clear_height_m"]].sum(axis=1)
     grouped = points[points["z"] <= points["surface"].map(top)].groupby("surface")
-    seen = pd.DataFrame(
-        {
-            "points": grouped.size(),
-            "sweeps": grouped["line"].nunique(),
-            "span_m": grouped["z"].quantile(0.98) - grouped["z"].quantile(0.02),
-        }
-    )
-    targets = made.targets.join(seen, on="surface").fillna({"points": 0, "sweeps": 0, "span_m": 0})
-    enough = (targets["points"] >= minimum_points) & (targets["sweeps"] >= minimum_sweeps)
-    targets["visible"] = enough & (targets["span_m"] >= minimum_span)
+    span = grouped["z"].quantile(0.98) - grouped["z"].quantile(0.02)
+    seen = {"points": grouped.size(), "sweeps": grouped["line"].nunique(), "span_m": span}
+    targets = made.targets.join(pd.DataFrame(seen), on="surface").fillna(dict.fromkeys(seen, 0))
+    targets["visible"] = (targets[list(seen)] >= [10, minimum_sweeps, 1.0]).all(axis=1)
     return targets.assign(distance_m=targets["x_m"].abs())
 
 
@@ -305,24 +281,17 @@ def shaft(
     top_radius: float,
     height: float,
     lean_deg: float = 1.0,
-) -> tuple[Surface, dict]:
+) -> tuple[surfaces.Surface, dict]:
     """Surface of a tapered shaft that leans at random, and its truth; sizes in metres."""
     lean = np.tan(np.radians(rng.normal(0, lean_deg, 2)))
     way = height * np.array([*lean, 1.0])
-    surface = cylinder(at, at + way, radius, top_radius=top_radius, label=kind, reflectance=0.35)
-    truth = {
-        "class": kind,
-        "x_m": at[0] + height / 2 * lean[0],
-        "y_m": at[1] + height / 2 * lean[1],
-        "z_base_m": at[2],
-        "height_m": height,
-        "clear_height_m": height,
-        "lean_x": lean[0],
-        "lean_y": lean[1],
-        "diameter_base_m": 2 * radius,
-        "diameter_top_m": 2 * top_radius,
-    }
-    return surface, truth
+    surface = surfaces.cylinder(
+        at, at + way, radius, top_radius=top_radius, label=kind, reflectance=0.35
+    )
+    x, y = at[:2] + height / 2 * lean
+    truth = {"class": kind, "x_m": x, "y_m": y, "z_base_m": at[2]}
+    truth |= {"height_m": height, "clear_height_m": height, "lean_x": lean[0], "lean_y": lean[1]}
+    return surface, truth | {"diameter_base_m": 2 * radius, "diameter_top_m": 2 * top_radius}
 
 
 def _lamp(rng, at, side, _):
@@ -333,8 +302,8 @@ def _lamp(rng, at, side, _):
     middle = np.array([truth["x_m"], truth["y_m"], at[2] + height / 2])
     top = at + 2 * (middle - at)
     tip = top - np.array([side * arm, 0, -0.2])
-    parts = [cylinder(top, tip, 0.03), box(tip - [0, 0, 0.1], (0.6, 0.25, 0.15))]
-    return [post, group(parts, label="lamp head")], truth
+    parts = [surfaces.cylinder(top, tip, 0.03), surfaces.box(tip - [0, 0, 0.1], (0.6, 0.25, 0.15))]
+    return [post, surfaces.group(parts, label="lamp head")], truth
 
 
 def _sign(rng, at, *_):
@@ -348,13 +317,13 @@ def _sign(rng, at, *_):
     middle = at + [0, 0, height - size / 2] + (radius + 0.02) * front
     middle[:2] += [truth["lean_x"] * height, truth["lean_y"] * height]
     if round_:
-        plates = [disc(middle, front, size / 2)]
+        plates = [surfaces.disc(middle, front, size / 2)]
     else:
-        plates = [board(middle, size, size, heading=heading)]
+        plates = [surfaces.board(middle, size, size, heading=heading)]
     if second:
         below = middle - [0, 0, size / 2 + 0.15]
-        plates.append(board(below, size, 0.25, heading=heading))
-    return [post, group(plates, label="board")], truth
+        plates.append(surfaces.board(below, size, 0.25, heading=heading))
+    return [post, surfaces.group(plates, label="board")], truth
 
 
 def _tree(rng, at, _, plan):
@@ -381,11 +350,13 @@ def _other(rng, at, *_):
 
 def crown(
     centre: ArrayLike, radii: ArrayLike, density: float, seed: int, label: str = "crown"
-) -> Surface:
+) -> surfaces.Surface:
     """Foliage in which a ray meets 0.8 leaves on a metre of its way, times the density."""
     volume = 4 / 3 * np.pi * np.prod(np.asarray(radii))
     n = max(int(volume * density * 0.8 * 2 / (np.pi * LEAF_RADIUS_M**2)), 1)
-    return foliage(centre, radii, leaves=n, leaf_radius=LEAF_RADIUS_M, seed=seed, label=label)
+    return surfaces.foliage(
+        centre, radii, leaves=n, leaf_radius=LEAF_RADIUS_M, seed=seed, label=label
+    )
 
 
 def _bush(rng, at, kind):
@@ -412,25 +383,27 @@ def _hedge(rng, at):
     middles = at + [[0, y, height / 2] for y in np.arange(0.75, length - 0.75, 1.5)]
     radii = (depth / 2, 1.1, height / 2)
     parts = [crown(middle, radii, 5.0, rng.integers(2**31)) for middle in middles]
-    return group(parts, label="hedge")
+    return surfaces.group(parts, label="hedge")
 
 
 def _car(rng, at):
     """A parked car, or one time in four a van."""
     van, length = rng.random() < 0.25, rng.uniform(4.0, 5.2)
     if van:
-        return box(at + [0, 0, 0.25], (2.0, length + 0.8, rng.uniform(1.9, 2.5)), label="car")
-    body = box(at + [0, 0, 0.3], (1.8, length, 0.6))
-    cabin = box(at + [0, -0.2, 0.9], (1.6, 0.5 * length, 0.55))
-    return group([body, cabin], label="car")
+        return surfaces.box(
+            at + [0, 0, 0.25], (2.0, length + 0.8, rng.uniform(1.9, 2.5)), label="car"
+        )
+    body = surfaces.box(at + [0, 0, 0.3], (1.8, length, 0.6))
+    cabin = surfaces.box(at + [0, -0.2, 0.9], (1.6, 0.5 * length, 0.55))
+    return surfaces.group([body, cabin], label="car")
 
 
-def pedestrian(rng: np.random.Generator, at: np.ndarray) -> Surface:
+def pedestrian(rng: np.random.Generator, at: np.ndarray) -> surfaces.Surface:
     """A person: a body that widens upwards, and a head."""
     height, width = rng.uniform([1.55, 0.18], [1.9, 0.25])
     neck, top = at + [0, 0, height - 0.28], at + [0, 0, height]
-    body = cylinder(at, neck, 0.7 * width, top_radius=width)
-    return group([body, cylinder(neck, top, 0.1)], label="pedestrian")
+    body = surfaces.cylinder(at, neck, 0.7 * width, top_radius=width)
+    return surfaces.group([body, surfaces.cylinder(neck, top, 0.1)], label="pedestrian")
 
 
 def _building(rng, side, setback, start, length, plan):
@@ -448,13 +421,13 @@ def _building(rng, side, setback, start, length, plan):
     for floor in range(floors):
         low, size = at + [0, first, floor * rise], rise + 0.8 * (floor == floors - 1)
         look = {"openings": openings, "reveal": reveal, "label": "facade"}
-        made += wall(low, (0, along, 0), size, **look)
+        made += surfaces.wall(low, (0, along, 0), size, **look)
     for end in (at, at + [0, length, 0]):
-        made.append(rectangle(end, (side * 10, 0, 0), (0, 0, height), label="facade"))
+        made.append(surfaces.rectangle(end, (side * 10, 0, 0), (0, 0, height), label="facade"))
     for y in rng.uniform(0.5, length - 0.5, rng.poisson(plan.columns_per_100m * length / 100)):
         foot, radius = at + [-side * rng.uniform(0.2, 1.2), y, 0], rng.uniform(0.1, 0.2)
-        made.append(cylinder(foot, foot + [0, 0, 2.8], radius, label="column"))
+        made.append(surfaces.cylinder(foot, foot + [0, 0, 2.8], radius, label="column"))
     for y in rng.uniform(0.2, length - 0.2, rng.poisson(plan.pipes_per_100m * length / 100)):
         foot = at + [-side * 0.09, y, 0]
-        made.append(cylinder(foot, foot + [0, 0, height], 0.05, label="pipe"))
+        made.append(surfaces.cylinder(foot, foot + [0, 0, height], 0.05, label="pipe"))
     return made

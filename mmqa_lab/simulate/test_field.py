@@ -23,12 +23,8 @@ from mmqa_lab.simulate.systems import System
 from mmqa_lab.simulate.trajectories import Trajectory, measured, straight
 
 __all__ = [
-    "FIELD_SPEED",
-    "REFERENCE_STD_M",
-    "SimulatedField",
-    "drive_test_field",
-    "make_test_field",
-]
+    "FIELD_SPEED", "REFERENCE_STD_M", "SimulatedField", "drive_test_field", "make_test_field",
+]  # fmt: skip
 
 ROAD_HALF_M = 5.0
 PAVEMENT_M = 4.0
@@ -198,9 +194,8 @@ def drive_test_field(
     for number, path in enumerate(street.drives()):
         known = measured(path, system.navigation, seed=[seed, number])
         cloud = scan(street.scene, heads, path, seed=seed + number, measured=known)
-        columns = dict(cloud.columns)
-        columns.setdefault("head", np.zeros(len(cloud), np.uint8))
-        columns["drive"] = np.full(len(cloud), number, np.uint8)
+        head = {} if "head" in cloud else {"head": np.zeros(len(cloud), np.uint8)}
+        columns = cloud.columns | head | {"drive": np.full(len(cloud), number, np.uint8)}
         cloud = replace(cloud, columns=columns)
         if system.lever_arm_error_m:
             error = np.array(system.lever_arm_error_m)[cloud["head"]]
