@@ -38,4 +38,6 @@ Each room is a module named by a noun of the field. Import the room that you nee
 - ``commands``: the commands of ``mmqa``
 """
 
+__all__ = ["__version__"]
+
 __version__ = "0.4.0"

@@ -17,6 +17,8 @@ import tempfile
 import time
 from pathlib import Path
 
+__all__ = ["main", "prepare", "prepared"]
+
 ROOT = Path(__file__).resolve().parent.parent
 ENVIRONMENT = ROOT / "environment.txt"
 TOOLS = ROOT / "tests" / "environment.txt"

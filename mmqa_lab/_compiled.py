@@ -8,6 +8,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numba
 
+__all__ = ["in_threads"]
+
 
 def in_threads(kernel, n, *arguments, least=64):
     """Let a compiled ``kernel(first, last, *arguments)`` work on n rows, in blocks over threads.

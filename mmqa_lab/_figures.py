@@ -5,6 +5,8 @@ import re
 import matplotlib as mpl
 import matplotlib.category
 
+__all__ = ["finish_figure", "say_kind", "with_symbols"]
+
 # Symbols as words of a text: d1, d2, ..., f, g, thresholds, s_r, rho0 and sigma_MAD.
 SYMBOL = re.compile(r"(?<![\w$\\])(?:([dsf])_?([1-9]|r|0)|([fg])|sigma_(?:MAD|mad)|rho0)(?![\w$(])")
 

@@ -8,6 +8,8 @@ from typing import Any, cast
 import numpy as np
 import pandas as pd
 
+__all__ = ["NORMAL", "Shown", "about", "sentences"]
+
 NORMAL = 1.96
 """Half the 95 % interval of normal errors, over their standard deviation."""
 

@@ -15,15 +15,9 @@ if TYPE_CHECKING:
     from pyproj import CRS
 
 __all__ = [
-    "Cloud",
-    "cells_of",
-    "describe",
-    "extent",
-    "group_axes",
-    "path_distance",
-    "sort_into_cells",
+    "Cloud", "cells_of", "describe", "extent", "group_axes", "path_distance", "sort_into_cells",
     "unit_remarks",
-]
+]  # fmt: skip
 
 # More points in a square of one unit's side than any survey in metres has: the unit is degrees.
 CROWDED = 1e8

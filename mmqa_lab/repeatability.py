@@ -15,25 +15,15 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
-from mmqa_lab._checks import (
-    check_columns,
-    check_count,
-    check_number,
-    check_polygon,
-    check_positive,
-)
+from mmqa_lab._checks import check_columns, check_count, check_number, check_polygon, check_positive
 from mmqa_lab._results import Shown
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.planes import fit_plane
 
 __all__ = [
-    "Repeatability",
-    "evaluate_selections",
-    "operator_polygons",
-    "repeatability",
-    "strip_law",
+    "Repeatability", "evaluate_selections", "operator_polygons", "repeatability", "strip_law",
     "variance_components",
-]
+]  # fmt: skip
 __dir__ = __all__.copy
 
 STRIP = 0.4579

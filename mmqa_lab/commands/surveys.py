@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from mmqa_lab._checks import check_choice, check_outputs, check_upright
 from mmqa_lab.commands.machine import (
     FIGURE_ENDINGS,
     check_ending,
@@ -248,12 +249,8 @@ def plan(
     """
     from mmqa_lab import scan_pattern
 
-    target = scan_pattern.Target(
-        heading_deg=target_heading,
-        tilt_deg=target_tilt,
-        range_m=range,
-        height_difference_m=height_difference,
-    )
+    angles = {"heading_deg": target_heading, "tilt_deg": target_tilt}
+    target = scan_pattern.Target(**angles, range_m=range, height_difference_m=height_difference)
     given = {
         "pulse_rate_hz": pulse_rate,
         "mirror_frequency_hz": mirror_frequency,
@@ -278,7 +275,6 @@ def plan(
 def _setup(scanner, speed, given):
     """The set-up of a scanner with a name, or of given rates and angles."""
     from mmqa_lab import scan_pattern
-    from mmqa_lab._checks import check_choice
     from mmqa_lab.simulate import PRESETS
 
     if scanner is not None:
@@ -362,13 +358,8 @@ def lhd(
             sets[name] = io.read_segments(file)
         else:
             sets[name] = lines.extract_edges(io.read_cloud(file, columns=()).points).segments
-    return lines.compare(
-        sets,
-        reference=None if reference is None else names[-1],
-        radius=radius,
-        weight=weight,
-        matcher=matcher,
-    )
+    wanted = None if reference is None else names[-1]
+    return lines.compare(sets, reference=wanted, radius=radius, weight=weight, matcher=matcher)
 
 
 @table
@@ -402,7 +393,6 @@ def poles(
     import numpy as np
 
     from mmqa_lab import io, poles
-    from mmqa_lab._checks import check_upright
     from mmqa_lab.cloud import Cloud
 
     parts = []
@@ -452,7 +442,6 @@ def accuracy(
         Write every difference into this CSV file.
     """
     from mmqa_lab import io, test_field
-    from mmqa_lab._checks import check_upright
 
     check_ending(out, "file", (".csv",))
     points = io.read_cloud(cloud, columns=())
@@ -520,7 +509,6 @@ def calibrate(
     import numpy as np
 
     from mmqa_lab import boresight, io
-    from mmqa_lab._checks import check_outputs
     from mmqa_lab.simulate import Trajectory
 
     names = [f"{number}_{file.stem}.laz" for number, file in enumerate(drives, start=1)]
@@ -574,7 +562,6 @@ def chart(*, out: Path, chart: Literal["grey", "revised", "points"] = "grey", se
     import pandas as pd
 
     from mmqa_lab import charts
-    from mmqa_lab._checks import check_choice
     from mmqa_lab.io import write_atomically
 
     ending = check_choice(out.suffix.lower(), "ending", (".pdf", ".svg"))

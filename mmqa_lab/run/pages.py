@@ -50,6 +50,9 @@ LEDGER = "ledger.csv"
 # The looks of a notebook's page, which a site keeps in one file.
 STYLES = re.compile(r"<style.*?</style>", re.DOTALL)
 
+# The names that a module offers.
+OFFERED = re.compile(r"^__all__ \+?= \[(.+?)\]", re.DOTALL | re.MULTILINE)
+
 # Columns of the ledger page.
 LEDGER_COLUMNS = ["source", "table", "cell", "role", "printed", "ours", "kind", "study", "note"]
 
@@ -68,7 +71,11 @@ def write_pages(folder, studies):
     records = [(study, read_record(folder / study.stem)) for study in studies]
     ran = [(study, record) for study, record in records if "failure" in record]
     quick = any(record["quick"] for _, record in ran)
-    counts = _write_ledger(folder, studies, quick)
+    missing = [study for study in studies if not (folder / study.stem / "ledger.csv").is_file()]
+    counts, not_run = "", [table for study in missing for table in study.tables]
+    if len(missing) < len(studies):
+        rows = ledger.collect(folder, not_run=not_run)
+        counts = write_ledger(folder / "ledger.html", rows, quick)
     write_words(folder)
     shown = {"ran": ran, "stored": stored, "quick": quick, "counts": counts, "verdict": verdict}
     write_atomically(folder / "index.html", filled("index.html", **shown))
@@ -86,15 +93,6 @@ def write_words(folder):
     for name, table in tables.items():
         page = filled(f"{name}.html", table=table.to_html(index=False, border=0))
         write_atomically(Path(folder) / f"{name}.html", page)
-
-
-def _write_ledger(folder, studies, quick):
-    """Write the page of the ledger, if a study left one; return its counts of verdicts."""
-    missing = [study for study in studies if not (folder / study.stem / "ledger.csv").is_file()]
-    if len(missing) == len(studies):
-        return ""
-    not_run = [table for study in missing for table in study.tables]
-    return write_ledger(folder / "ledger.html", ledger.collect(folder, not_run=not_run), quick)
 
 
 def write_ledger(path, rows, quick=False):
@@ -286,14 +284,9 @@ def public_names() -> pd.DataFrame:
 
 def _names_of(file):
     """The names that a file defines and offers, with their first sentences."""
-    tree = ast.parse(file.read_text(encoding="utf-8"))
-    offered = set()
-    for node in tree.body:
-        targets = getattr(node, "targets", [getattr(node, "target", None)])
-        if any(getattr(target, "id", "") == "__all__" for target in targets):
-            parts = ast.walk(node.value)
-            offered |= {part.value for part in parts if isinstance(part, ast.Constant)}
-    for node in tree.body:
+    source = file.read_text(encoding="utf-8")
+    offered = set(re.findall(r"\w+", " ".join(OFFERED.findall(source))))
+    for node in ast.parse(source).body:
         if getattr(node, "name", None) in offered:
             text = " ".join((ast.get_docstring(node) or "").split("\n\n")[0].split())
             text = re.sub(r":\w+:`~?([^`]*)`|``", lambda found: found[1] or "", text)

@@ -26,20 +26,12 @@ from nbconvert.preprocessors import ClearOutputPreprocessor
 from tqdm.auto import tqdm
 
 from mmqa_lab.io import write_atomically
-from mmqa_lab.run.exercises import (
-    NUMBER,
-    NUMBERS,
-    answer_parts,
-    check_answer,
-    names_in,
-    student_cell,
-)
+from mmqa_lab.run.exercises import NUMBER, NUMBERS, answer_parts, names_in, student_cell
 from mmqa_lab.run.notebooks import execute, inject
 from mmqa_lab.run.pages import notebook_page
 
 __all__ = [
-    "answer_table", "check_answer", "needed_statements", "write_solutions",
-    "write_student_notebooks",
+    "answer_table", "needed_statements", "write_solutions", "write_student_notebooks",
 ]  # fmt: skip
 
 # The notebook's words on the number, replaced in copies, where the student sets it.

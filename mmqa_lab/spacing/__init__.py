@@ -645,20 +645,9 @@ def empty_space(xy: ArrayLike, *, outline: object = None, rank: int = 1) -> Empt
     places = np.outer(np.arange(count if outline.area else 0), STEPS) % 1 * (high - low) + low
     places = places[shapely.contains_xy(outline, *places.T)]
     distances = _tree(xy - low).query(places - low, [rank])[0][:, 0]
-    return EmptySpace(places, distances, _to_border(places - low, outline, low))
-
-
-def _to_border(places, outline, corner):
-    """Distance of places (m, 2), counted from a corner, to the nearest side of an outline."""
-    found = np.full(len(places), np.inf)
-    for ring in shapely.get_rings(shapely.get_parts(outline)):
-        vertices = shapely.get_coordinates(ring) - corner
-        for start, side in zip(vertices, np.diff(vertices, axis=0), strict=False):
-            if side.any():
-                along = np.clip((places - start) @ side / (side @ side), 0, 1)
-                off = places - start - along[:, None] * side
-                np.minimum(found, off[:, 0] ** 2 + off[:, 1] ** 2, out=found)
-    return np.sqrt(found)
+    sides = shapely.transform(shapely.boundary(outline), lambda xy: xy - low)
+    shapely.prepare(sides)
+    return EmptySpace(places, distances, shapely.distance(sides, shapely.points(places - low)))
 
 
 def block_numbers(xy: ArrayLike, *, side: int = 4) -> np.ndarray:

@@ -17,6 +17,8 @@ from numba import njit
 
 from mmqa_lab._compiled import in_threads
 
+__all__ = ["nearest_per_quadrant"]
+
 BELOW_ZERO = -5e-324
 """The largest number below zero: what is greater is zero or above."""
 
