@@ -288,14 +288,10 @@ def fit_sensor(
     terms = 1 if through_zero else 2
     design = np.stack([signal, np.ones_like(signal)], axis=1)[:, :terms]
     fit = WLS(dn[used], design[used], weights=std[used] ** -2).fit()
-    return SensorFit(
-        gain=float(fit.params[0]),
-        offset=0.0 if through_zero else float(fit.params[1]),
-        std=np.append(fit.bse, 0.0)[:2],
-        r_squared=float(fit.rsquared),
-        residuals=np.where(used, dn - design @ fit.params, np.nan),
-        saturated=int((~used).sum()),
-    )
+    gain, offset = np.append(fit.params, 0.0)[:2].tolist()
+    residuals = np.where(used, dn - design @ fit.params, np.nan)
+    explained = {"r_squared": float(fit.rsquared), "saturated": int((~used).sum())}
+    return SensorFit(gain, offset, np.append(fit.bse, 0.0)[:2], residuals=residuals, **explained)
 
 
 def coarse_pairs(image: ArrayLike, reference: ArrayLike) -> tuple[np.ndarray, np.ndarray]:

@@ -457,14 +457,13 @@ def _by_chart(found, markers, layout):
         one = ChartMap.from_points(markers[key].corners()[::-1], corners)
         middle = one.pixels([[layout.width / 2, layout.height / 2]])[0]
         side = np.linalg.norm(corners[0] - corners[2]) / markers[key].size * layout.width
-        near = [group for group in groups if np.linalg.norm(group[0] - middle) < side / 3]
-        near = [group for group in near if key not in dict(group[2])]
-        if near:
-            near[0][2].append((key, corners))
+        for place, _, group in groups:
+            if np.linalg.norm(place - middle) < side / 3 and key not in dict(group):
+                group.append((key, corners))
+                break
         else:
             groups.append((middle, side, [(key, corners)]))
-    groups = sorted(groups, key=lambda group: (-min(len(group[2]), 3), -group[1]))
-    return [group[2] for group in groups]
+    return [one[2] for one in sorted(groups, key=lambda one: (-min(len(one[2]), 3), -one[1]))]
 
 
 def _other(grey, chart_map, layout):
@@ -827,8 +826,8 @@ def _streaks(grey):
         turn = np.radians(angle if size[0] > size[1] else angle + 90)
         half = np.array([np.cos(turn), np.sin(turn)]) * max(size) / 2
         found.append((max(size), [middle - half, middle + half]))
-    found = sorted(found, key=lambda streak: -streak[0])[:MOST_STREAKS]
-    return np.array([ends for _, ends in found]).reshape(-1, 2, 2)
+    longest = sorted(found, key=lambda streak: -streak[0])[:MOST_STREAKS]
+    return np.array([ends for _, ends in longest]).reshape(-1, 2, 2)
 
 
 def _suggested(streaks, bars):

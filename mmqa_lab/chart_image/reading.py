@@ -251,8 +251,7 @@ def read_pairs(tones: Tones, layout: Layout, chart_map: ChartMap) -> pd.DataFram
     patterns = layout.of_kind(LinePairs)
     readings = [read_pattern(tones, pairs, chart_map) for pairs in patterns]
     table = pd.DataFrame(readings, columns=list(PairReading.__dataclass_fields__))
-    order = ["direction", "width_mm"]
-    table = table.sort_values(order, ascending=[True, False], ignore_index=True)
+    table = table.sort_values(["direction", "width_mm"], ascending=[True, False], ignore_index=True)
     crossed = [pairs.name for pairs in patterns if _crossed(tones, pairs, chart_map)]
     seen = table["resolved"] | (table["width_px"] < SMALLEST_PAIR_PX)
     table.loc[table["name"].isin(crossed) & ~seen, "reason"] = HIDDEN
@@ -585,10 +584,9 @@ def _gaps(across, along, values, pairs, strips, noise):
     bars = 2 * pairs.repeats - 1
     used = (centre >= 0) & (centre < bars)
     slot = (strip * bars + centre)[used]
-    total, square, mean = (
-        np.bincount(slot, weights=part[used], minlength=strips * bars).reshape(strips, bars)
-        for part in (weight, weight**2, weight * values)
-    )
+    parts = [part[used] for part in (weight, weight**2, weight * values)]
+    sums = [np.bincount(slot, part, strips * bars) for part in parts]
+    total, square, mean = np.reshape(sums, (3, strips, bars))
     with np.errstate(invalid="ignore", divide="ignore"):
         mean, variance = mean / total, noise**2 * square / total**2
     black, white = mean[:, ::2], mean[:, 1::2]
@@ -614,18 +612,13 @@ def _measured(tones, bar, chart_map):
     across_px = size[1 - axis] / chart_map.pixel_sizes_mm(ends)[:, 1 - axis].max()
     count = max(int(across_px) - 1, 1)
     lanes = ((np.arange(count) + 0.5) / count - 0.5) * (1 - 1 / across_px) * size[1 - axis]
-    low_end, high_end = (
-        _crossings(tones, chart_map, end, axis, sign, lanes)
-        for end, sign in zip(ends, (-1, 1), strict=True)
-    )
-    if min(np.isfinite(end).mean() for end in (low_end, high_end)) < 0.6:
+    low_end = _crossings(tones, chart_map, ends[0], axis, -1, lanes)
+    high_end = _crossings(tones, chart_map, ends[1], axis, 1, lanes)
+    if np.isfinite([low_end, high_end]).mean(axis=1).min() < 0.6:
         return row
-    repeats = (low_end + high_end)[np.isfinite(low_end + high_end)]
-    row["n"] = len(repeats)
-    offsets = np.nanmean([low_end, high_end], axis=1)
-    row["offset_px"] = float(np.sqrt((offsets**2).mean()))
-    row["repeats_std_px"] = pd.Series(repeats).std()
-    return row
+    repeats = pd.Series(low_end + high_end).dropna()
+    offset = float(np.sqrt((np.nanmean([low_end, high_end], axis=1) ** 2).mean()))
+    return row | {"n": len(repeats), "repeats_std_px": repeats.std(), "offset_px": offset}
 
 
 def _crossings(tones, chart_map, end, axis, sign, lanes):

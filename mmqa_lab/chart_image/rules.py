@@ -374,11 +374,10 @@ def expected_marks(cap_px: ArrayLike) -> pd.DataFrame:
     >>> expected_marks([30.0, 11.3, 9.5, 5.0])[["mark", "best", "worst"]].values.tolist()
     [['a', 'a', 'a'], ['a', 'a', 'b'], ['b', 'b', 'c'], ['c', 'c', 'c']]
     """
-    limits = _limits()
     table = pd.DataFrame({"cap_px": np.atleast_1d(np.asarray(cap_px, dtype=float))})
-    for name in ("mark", "best", "worst"):
-        steps = [(table["cap_px"] < limits.loc[name, mark]).to_numpy() for mark in MARKS[:-1]]
-        table[name] = np.array(MARKS, dtype=object)[np.sum(steps, axis=0)]
+    for name, limits in _limits().iterrows():
+        steps = (table[["cap_px"]].to_numpy() < limits.to_numpy()).sum(axis=1)
+        table[name] = np.array(MARKS, dtype=object)[steps]
     return table
 
 
