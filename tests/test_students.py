@@ -76,7 +76,7 @@ def test_below_the_line_check_all_is_sealed_and_the_number_is_asked_for():
 
 @pytest.mark.parametrize("study", STUDIES, ids=lambda study: study.stem)
 def test_copies_hold_no_answer_and_no_lesson(study, tmp_path):
-    (path,) = write_student_notebooks([study], tmp_path)
+    (path,) = write_student_notebooks(tmp_path, [study])
     copy, original = (nbformat.read(p, as_version=4) for p in (path, study.path))
     nbformat.validate(copy)
     answers = [c.source for c in original.cells if "solution" in c.metadata.get("tags", [])]
@@ -127,7 +127,7 @@ def squares(tmp_path):
 
 
 def test_solutions_have_tasks_answers_by_number_and_the_lesson_plan(squares, tmp_path):
-    (path,) = write_solutions([squares], tmp_path / "mine", quick=True)
+    (path,) = write_solutions(tmp_path / "mine", [squares], quick=True)
     page = path.read_text()
     answers = re.findall(r"<td>(\d+)</td>\s*<td>(\d+)</td>", page)
     assert answers == [(str(n), str(3 * n)) for n in range(1, 31)]
@@ -138,11 +138,11 @@ def test_solutions_have_tasks_answers_by_number_and_the_lesson_plan(squares, tmp
 
 
 def test_checks_can_be_kept_apart_and_students_set_their_number(squares, tmp_path):
-    (path,) = write_student_notebooks([squares], tmp_path / "course", checks=False)
+    (path,) = write_student_notebooks(tmp_path / "course", [squares], checks=False)
     text = path.read_text()
     assert "check_answer" not in text
     assert "set it in the next cell" in text
-    (path,) = write_student_notebooks([squares], tmp_path / "checks")
+    (path,) = write_student_notebooks(tmp_path / "checks", [squares])
     assert "check_answer" in path.read_text()
 
 
@@ -150,7 +150,7 @@ def test_a_given_cell_waits_for_the_students_number(squares, tmp_path):
     notebook = nbformat.read(squares.path, as_version=4)
     notebook.cells.insert(4, nbformat.v4.new_code_cell("drawn = [\n    number\n]\nother = 1"))
     nbformat.write(notebook, squares.path)
-    (path,) = write_student_notebooks([squares], tmp_path / "class")
+    (path,) = write_student_notebooks(tmp_path / "class", [squares])
     code = [cell.source for cell in nbformat.read(path, as_version=4).cells[:5]]
     scope = {}
     for text in (code[1], code[3], code[4]):
@@ -227,7 +227,7 @@ def test_stored_outputs_stay_with_the_teacher(squares, tmp_path):
             cell.outputs = [nbformat.v4.new_output("stream", text="the answer is 36")]
             cell.execution_count = 7
     nbformat.write(notebook, squares.path)
-    (path,) = write_student_notebooks([squares], tmp_path / "course")
+    (path,) = write_student_notebooks(tmp_path / "course", [squares])
     assert "answer is 36" not in path.read_text()
     assert '"execution_count": 7' not in path.read_text()
 

@@ -257,11 +257,11 @@ def student(
 
     wanted = chosen(names)
     with nullcontext() if sheets is None else own_folder(sheets):
-        paths = students.write_student_notebooks(wanted, out, quick=quick, checks=checks is None)
+        paths = students.write_student_notebooks(out, wanted, quick=quick, checks=checks is None)
         if checks is not None:
-            paths += students.write_student_notebooks(wanted, checks, quick=quick)
+            paths += students.write_student_notebooks(checks, wanted, quick=quick)
         if sheets is not None:
-            paths += students.write_solutions(wanted, sheets, quick=quick)
+            paths += students.write_solutions(sheets, wanted, quick=quick)
     print(*paths, sep="\n")
 
 

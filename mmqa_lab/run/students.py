@@ -80,14 +80,14 @@ def _waiting(cell):
     return f"if {NUMBER} is not ...:\n" + textwrap.indent(cell.source, "    ")
 
 
-def write_student_notebooks(studies, folder, *, quick=False, checks=True):
+def write_student_notebooks(folder, studies, *, quick=False, checks=True):
     """Write students' copies of studies' notebooks into a folder.
 
     Parameters
     ----------
-    studies : list of mmqa_lab.studies.Study
     folder : path
         Created if missing.
+    studies : list of mmqa_lab.studies.Study
     quick : bool
         Use each study's small parameters.
     checks : bool
@@ -107,7 +107,7 @@ def write_student_notebooks(studies, folder, *, quick=False, checks=True):
     >>> import tempfile
     >>> from mmqa_lab.studies import chosen
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     [path.name for path in write_student_notebooks(chosen(["mimic"]), folder)]
+    ...     [path.name for path in write_student_notebooks(folder, chosen(["mimic"]))]
     ['05_mimic.ipynb']
     """
     targets = [Path(folder) / study.path.name for study in studies]
@@ -123,14 +123,14 @@ def write_student_notebooks(studies, folder, *, quick=False, checks=True):
     return targets
 
 
-def write_solutions(studies, folder, *, quick=False):
+def write_solutions(folder, studies, *, quick=False):
     """Write a page per study with its solutions, answers by number and lesson plan.
 
     Parameters
     ----------
-    studies : list of mmqa_lab.studies.Study
     folder : path
         The teacher's folder, created if missing.
+    studies : list of mmqa_lab.studies.Study
     quick : bool
         Give the answers for each study's small parameters.
 
