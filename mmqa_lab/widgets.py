@@ -30,7 +30,6 @@ from scipy import ndimage
 
 from mmqa_lab import plots
 from mmqa_lab._checks import check_choice, check_points, check_polygon
-from mmqa_lab._figures import finish_figure
 from mmqa_lab.chart_cloud import evaluate_cloud, inside_polygon
 from mmqa_lab.chart_image.rules import MARKS, check_marks
 from mmqa_lab.charts import encode
@@ -136,7 +135,7 @@ def explore(
     def drawn(**values):
         """The figure for values of the controls."""
         figure = function(**values)
-        finish_figure(figure)
+        plots.finish_figure(figure)
         plt.close(figure)  # the cell shows it; pyplot would show it again
         return figure
 

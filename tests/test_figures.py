@@ -5,7 +5,7 @@ import numpy as np
 from overlaps import doubled_names
 
 from mmqa_lab import plots
-from mmqa_lab._figures import finish_figure
+from mmqa_lab.plots import finish_figure
 
 
 def test_symbols_are_set_as_formulas_by_one_rule():

@@ -24,7 +24,7 @@ LAYERS = (
     "scan_pattern charts samples chart_cloud test_field lines radiometry repeatability",
     "boresight poles chart_image mtf tender image_targets",
     "simulate",
-    "bench _figures plots views maps widgets",
+    "bench plots views maps widgets",
     "studies run",
     "commands __main__",
 )
@@ -79,7 +79,7 @@ OTHER_TESTS = {
 """Modules whose tests stand in a file of another name, and that file: test_<name>.py."""
 
 LIBRARIES = ("matplotlib", "pyvista", "ipywidgets", "IPython")
-PICTURES = {"_figures", "plots", "views", *(f"library {name}" for name in LIBRARIES)}
+PICTURES = {"plots", "views", *(f"library {name}" for name in LIBRARIES)}
 """Imported below the layer of bench only when a result is asked to draw itself."""
 
 
@@ -114,7 +114,7 @@ def test_imports_point_down(path):
 
 def test_the_package_lists_its_rooms_in_the_order_of_their_imports():
     listed = re.findall(r"^- ``(\w+)``: ", mmqa_lab.__doc__, re.MULTILINE)
-    inside = {"__init__", "__main__", "_compiled", "_results", "_figures"}
+    inside = {"__init__", "__main__", "_compiled", "_results"}
     for row in LAYERS:
         rooms = set(row.split()) - inside
         assert set(listed[: len(rooms)]) == rooms

@@ -250,10 +250,9 @@ def check_ending(path, name, endings):
 def write_figure(path, draw):
     """Draw in the package's style and write the figure."""
     from mmqa_lab import plots
-    from mmqa_lab._figures import finish_figure
     from mmqa_lab.io import write_atomically
 
     with plots.style():
         figure = draw()
-        finish_figure(figure)
+        plots.finish_figure(figure)
         write_atomically(path, lambda file: figure.savefig(file))

@@ -25,9 +25,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
 
 from mmqa_lab import __version__
-from mmqa_lab._figures import finish_figure, say_kind, with_symbols
 from mmqa_lab.bench import heading, split_unit
 from mmqa_lab.io import write_atomically
+from mmqa_lab.plots import finish_figure, say_kind, with_symbols
 from mmqa_lab.published.ledger import entries, verdicts
 
 __all__ = ["Run"]
