@@ -195,7 +195,7 @@ def drive_test_field(
         known = measured(path, system.navigation, seed=[seed, number])
         cloud = scan(street.scene, heads, path, seed=seed + number, measured=known)
         head = {} if "head" in cloud else {"head": np.zeros(len(cloud), np.uint8)}
-        columns = cloud.columns | head | {"drive": np.full(len(cloud), number, np.uint8)}
+        columns = {**cloud.columns, **head, "drive": np.full(len(cloud), number, np.uint8)}
         cloud = replace(cloud, columns=columns)
         if system.lever_arm_error_m:
             error = np.array(system.lever_arm_error_m)[cloud["head"]]
