@@ -26,24 +26,24 @@ from mmqa_lab.planes import Plane, fit_plane, sigma_mad
 
 __all__ = ["CELLS_PER_SIZE", "Grid", "PlanePart", "detect_planes", "usual_size"]
 
+# Cells of the grid along the smallest plane, and its least area in squared sizes (1 m2 at 2 m).
+# Points of a plane are connected across one cell.
 CELLS_PER_SIZE, LEAST_AREA = 4, 0.25
-"""Cells of the grid along the smallest plane, and its least area in squared sizes (1 m2 at 2 m).
-Points of a plane are connected across one cell."""
 
+# Limits of the least number of points of a plane; its least area sets the number in between.
 FEWEST_LIMITS = 10, 30
-"""Limits of the least number of points of a plane; its least area sets the number in between."""
 
+# Default extents of the smallest plane, m: for points that fill the cells, for scan lines that are
+# too far apart for that, and the largest extent, for thin clouds.
 USUAL_SIZES = 1.5, 2.0, 3.0
-"""Default extents of the smallest plane, m: for points that fill the cells, for scan lines that are
-too far apart for that, and the largest extent, for thin clouds."""
 
+# Points farther from their plane than TRIM standard deviations are not fitted. The factor TRIMMED
+# corrects the standard deviation of trimmed normal errors, and that of their mean.
 TRIM, TRIMMED = 2.5, 1.05
-"""Points farther from their plane than TRIM standard deviations are not fitted. The factor TRIMMED
-corrects the standard deviation of trimmed normal errors, and that of their mean."""
 
+# Least number of points of a trial; the most from one cell, so that dense and sparse parts count
+# alike; the most in all, the nearest ones.
 LEAST_TRIAL, DRAWN, NEAREST = 6, 3, 64
-"""Least number of points of a trial; the most from one cell, so that dense and sparse parts count
-alike; the most in all, the nearest ones."""
 
 
 @dataclass(frozen=True, eq=False)

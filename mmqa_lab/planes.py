@@ -16,27 +16,18 @@ from mmqa_lab._results import Shown, about
 from mmqa_lab.stats import CONSISTENT_SCALE
 
 __all__ = [
-    "CONSISTENT_SCALE",
-    "PAPER_SCALE",
-    "TUKEY",
-    "Circle",
-    "Line",
-    "Plane",
-    "fit_circle",
-    "fit_line",
-    "fit_plane",
-    "flat_points",
-    "sigma_mad",
-]
+    "CONSISTENT_SCALE", "PAPER_SCALE", "TUKEY", "Circle", "Line", "Plane", "fit_circle",
+    "fit_line", "fit_plane", "flat_points", "sigma_mad",
+]  # fmt: skip
 
+# The factor in the code of Pfeifer et al. 2021, Appendix A (1.4826 with two digits swapped).
 PAPER_SCALE = 1.4862
-"""The factor in the code of Pfeifer et al. 2021, Appendix A (1.4826 with two digits swapped)."""
 
+# Tukey's biweight constant, 95 % efficient for normal residuals (Huber & Ronchetti 2009).
 TUKEY = 4.685
-"""Tukey's biweight constant, 95 % efficient for normal residuals (Huber & Ronchetti 2009)."""
 
+# Distances from a circle beyond this get less weight, m.
 FAR_FROM_CIRCLE_M = 0.01
-"""Distances from a circle beyond this get less weight, m."""
 
 
 @dataclass(frozen=True, eq=False)

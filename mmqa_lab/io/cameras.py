@@ -10,6 +10,7 @@ from mmqa_lab.io.files import plain_text, reading
 
 __all__ = ["read_camera"]
 
+# Names of what a calibration has, without capitals, hyphens and underscores.
 OF_CAMERA = {
     "matrix": ("cameramatrix", "intrinsicmatrix", "mtx", "k"),
     "distortion": ("distortioncoefficients", "distcoeffs", "distcoeff", "dist", "d"),
@@ -17,11 +18,10 @@ OF_CAMERA = {
     "height": ("imageheight", "height"),
     "model": ("distortionmodel", "model"),
 }
-"""Names of what a calibration has, without capitals, hyphens and underscores."""
 
+# Numbers of distortion coefficients; names of OpenCV's model that has them.
 COEFFICIENTS = (4, 5, 8, 12, 14)
 BROWN = ("plumbbob", "rationalpolynomial", "brown", "pinhole", "opencv")
-"""Numbers of distortion coefficients; names of OpenCV's model that has them."""
 
 CALIBRATION = "OpenCV's camera_matrix (3 x 3) and distortion_coefficients (k1, k2, p1, p2, k3, ...)"
 

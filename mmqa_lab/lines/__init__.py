@@ -12,21 +12,7 @@ from mmqa_lab.lines.pairing import Threshold, correspond, pairing_scores, peak_t
 from mmqa_lab.lines.segments import check_segments, components, directions, lengths, midpoints
 
 __all__ = [
-    "LHD",
-    "Displacement",
-    "Edges",
-    "Threshold",
-    "check_segments",
-    "compare",
-    "components",
-    "correspond",
-    "directions",
-    "extract_edges",
-    "fit_displacement",
-    "lengths",
-    "lhd",
-    "match_displaced",
-    "midpoints",
-    "pairing_scores",
-    "peak_threshold",
-]
+    "LHD", "Displacement", "Edges", "Threshold", "check_segments", "compare", "components",
+    "correspond", "directions", "extract_edges", "fit_displacement", "lengths", "lhd",
+    "match_displaced", "midpoints", "pairing_scores", "peak_threshold",
+]  # fmt: skip

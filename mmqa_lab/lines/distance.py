@@ -38,15 +38,11 @@ from mmqa_lab.lines.segments import (
 __all__ = ["LHD", "Directed", "compare", "lhd"]
 
 PAIRING = [
-    "one-to-null",
-    "one-to-one",
-    "one-to-multiple",
-    "multiple-to-one",
-    "multiple-to-multiple",
-]
+    "one-to-null", "one-to-one", "one-to-multiple", "multiple-to-one", "multiple-to-multiple",
+]  # fmt: skip
 
+# Parts of a distance, and their sum.
 DISTANCE_PARTS = ["displacement", "position", "direction", "ends", "false pairs", "all"]
-"""Parts of a distance, and their sum."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,17 +13,17 @@ from mmqa_lab.plane_search import CELLS_PER_SIZE, Grid, detect_planes, usual_siz
 
 __all__ = ["Edges", "extract_edges"]
 
+# Least angle between two planes with an edge.
 LEAST_DEG = 20.0
-"""Least angle between two planes with an edge."""
 
+# Points beside an edge count as off their plane from this height, in standard deviations. A larger
+# limit misses faces that are joined within the tolerance and have few points, such as those of
+# cars.
 MISFIT = 0.5
-"""Points beside an edge count as off their plane from this height, in standard deviations. A larger
-limit misses faces that are joined within the tolerance and have few points, such as those of cars.
-"""
 
+# One row of points in 40 ends farther before the end of its face than the spread allows. The
+# shorter of two rows then exceeds it in 5 % of all cases.
 BEYOND = 40.0
-"""One row of points in 40 ends farther before the end of its face than the spread allows. The
-shorter of two rows then exceeds it in 5 % of all cases."""
 
 
 @dataclass(frozen=True, eq=False)

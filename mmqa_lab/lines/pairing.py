@@ -16,18 +16,9 @@ from mmqa_lab.lines.segments import directions, from_common_origin, lengths, mid
 from mmqa_lab.rotations import across
 
 __all__ = [
-    "MATCHERS",
-    "PairingScores",
-    "Pairs",
-    "Threshold",
-    "apart",
-    "check_pairs",
-    "correspond",
-    "levers",
-    "paired",
-    "pairing_scores",
-    "peak_threshold",
-]
+    "MATCHERS", "PairingScores", "Pairs", "Threshold", "apart", "check_pairs", "correspond",
+    "levers", "paired", "pairing_scores", "peak_threshold",
+]  # fmt: skip
 
 MATCHERS = ("all", "nearest", "mutual", "hungarian", "fragments")
 
@@ -300,8 +291,8 @@ def check_pairs(pairs: ArrayLike, shape: tuple[int, int]) -> np.ndarray:
     return pairs
 
 
+# What :meth:`Pairs.again` fills in.
 UNKNOWN: Any = None
-"""What :meth:`Pairs.again` fills in."""
 
 
 @dataclass(frozen=True, eq=False)

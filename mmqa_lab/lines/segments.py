@@ -28,18 +28,13 @@ from mmqa_lab._checks import check_choice, check_number, check_points
 from mmqa_lab._compiled import in_threads
 
 __all__ = [
-    "Components",
-    "check_segments",
-    "components",
-    "directions",
-    "from_common_origin",
-    "lengths",
+    "Components", "check_segments", "components", "directions", "from_common_origin", "lengths",
     "midpoints",
-]
+]  # fmt: skip
 
 
+# Number of pairs that a thread computes at a time.
 BLOCK_PAIRS = 500_000
-"""Number of pairs that a thread computes at a time."""
 
 
 def check_segments(segments: ArrayLike, name: str = "segments") -> np.ndarray:
