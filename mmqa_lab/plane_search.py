@@ -153,10 +153,9 @@ def detect_planes(
     grid = Grid(points[order], size / CELLS_PER_SIZE)
     in_cell = _points_per_cell(grid.start)
     if in_cell < 1:  # surfaces are not connected
+        thin = f"Few cells of {grid.edge:g} m have a second point."
         warnings.warn(
-            f"Few cells of {grid.edge:g} m have a second point. "
-            f"Planes of {size:g} m may be missing or cut into parts.",
-            stacklevel=2,
+            f"{thin} Planes of {size:g} m may be missing or cut into parts.", stacklevel=2
         )
     minimum = int(np.clip(LEAST_AREA * CELLS_PER_SIZE**2 * in_cell, *FEWEST_LIMITS))
     search = _Search(grid, tolerance, minimum)

@@ -89,10 +89,9 @@ class Plane(Shown):
         level = np.cross([0.0, 0.0, 1.0], self.normal)
         slope = np.linalg.norm(level)
         if slope < np.sin(np.radians(0.1)):
-            raise ValueError(
-                f"Invalid plane, tilted by {np.degrees(np.arcsin(slope)):.3f} degrees. "
-                "Must be 0.1 degrees or more for horizontal axes."
-            )
+            tilted = f"tilted by {np.degrees(np.arcsin(slope)):.3f} degrees"
+            wanted = "0.1 degrees or more for horizontal axes"
+            raise ValueError(f"Invalid plane, {tilted}. Must be {wanted}.")
         level /= slope
         return np.array([level, np.cross(self.normal, level)])
 
@@ -276,9 +275,8 @@ def sigma_mad(residuals: ArrayLike, scale: float = CONSISTENT_SCALE) -> float:
     """
     residuals = np.asarray(residuals, dtype=np.float64)
     if residuals.ndim != 1 or not len(residuals) or not np.isfinite(residuals).all():
-        raise ValueError(
-            f"Invalid residuals of shape {residuals.shape}. Must be a row of finite numbers."
-        )
+        shape = residuals.shape
+        raise ValueError(f"Invalid residuals of shape {shape}. Must be a row of finite numbers.")
     scale = check_positive(scale, "scale")
     return float(scale * np.median(np.abs(residuals - np.median(residuals))))
 
@@ -370,17 +368,8 @@ def fit_circle(points: ArrayLike, *, diameter: float | None = None) -> Circle:
         ways = off / np.maximum(np.hypot(*off.T), 1e-9)[:, None]
         return np.column_stack([ways, np.full((len(xy), int(free)), -np.exp(circle[2:]))])
 
-    fits = [
-        least_squares(
-            misfits,
-            start[: 2 + free],
-            slopes,
-            loss="cauchy",
-            f_scale=FAR_FROM_CIRCLE_M,
-            x_scale="jac",
-        )
-        for start in starts
-    ]
+    settings = {"loss": "cauchy", "f_scale": FAR_FROM_CIRCLE_M, "x_scale": "jac"}
+    fits = [least_squares(misfits, start[: 2 + free], slopes, **settings) for start in starts]
     circles, costs = [fit.x for fit in fits], np.array([fit.cost for fit in fits])
     best = np.argmin(costs)
     centre = circles[best][:2]

@@ -59,7 +59,7 @@ FAR_FROM_ZERO_M = 1000.0
 
 
 class Piece(NamedTuple):
-    """A part of a file: its points, columns, ``about`` the cloud, and how many points it has.
+    """A part of a file: its points, columns, ``about`` the cloud; points in all if these are not.
 
     ``left`` are masks of points to leave out by the reason, ``said`` of points to mention.
     """
@@ -67,7 +67,7 @@ class Piece(NamedTuple):
     points: np.ndarray
     columns: dict
     about: dict
-    total: int
+    total: int = 0
     left: Mapping = MappingProxyType({})
     said: Mapping = MappingProxyType({})
 
@@ -141,32 +141,29 @@ def iterate_cloud(
     """
     path = check_file(path, "cloud")
     ending = check_choice(path.suffix.lower(), f"cloud {path} with ending", CLOUD_ENDINGS)
-    whole = _ply_pieces if ending == ".ply" else _text_pieces
-    pieces = _las_pieces(path, chunk, columns) if ending in LAS_ENDINGS else whole(path)
+    if ending in LAS_ENDINGS:
+        pieces = _las_pieces(path, chunk, columns)
+    else:
+        pieces = [Piece(*(read_ply if ending == ".ply" else _of_text)(path))]
     read, dropped, counted = 0, Counter(), Counter()
     for piece in pieces:
         left, said = _marked(piece)
         out = np.any([np.zeros(len(piece.points), bool), *left.values()], axis=0)
         dropped.update({reason: int(mask.sum()) for reason, mask in left.items()})
         counted.update({reason: int((mask & ~out).sum()) for reason, mask in said.items()})
-        read, attributes = read + len(out), piece.columns
-        if columns is not None:
-            check_columns(attributes, columns, f"cloud {path}")
-            attributes = {name: attributes[name] for name in columns}
-        points = piece.points
-        if left:
-            points = points[~out]
-            attributes = {name: values[~out] for name, values in attributes.items()}
-        cloud = Cloud(points, attributes, path.stem, **piece.about)
+        names = piece.columns if columns is None else columns
+        check_columns(piece.columns, names, f"cloud {path}")
+        kept, read = ~out if left else slice(None), read + len(out)
+        attributes = {name: piece.columns[name][kept] for name in names}
+        cloud = Cloud(piece.points[kept], attributes, path.stem, **piece.about)
         if read == len(out):  # the first piece
             share = len(out) / max(piece.total, len(out), 1)
             for remark in unit_remarks(cloud, crs=cloud.crs, share=share):
                 warnings.warn(f"{path}: {remark}", stacklevel=3)
         yield cloud
-    for verb, found in (("Dropped", dropped), ("Counted", counted)):
-        for reason, count in found.items():
-            told = f"{verb} {count} of {read} points of {path} that {reason}."
-            warnings.warn(told, stacklevel=3)
+    told = [("Dropped", *row) for row in dropped.items()]
+    for verb, reason, count in [*told, *(("Counted", *row) for row in counted.items())]:
+        warnings.warn(f"{verb} {count} of {read} points of {path} that {reason}.", stacklevel=3)
 
 
 def write_cloud(path: str | os.PathLike, cloud: Cloud | ArrayLike, *, scale: float = 0.001) -> None:
@@ -230,9 +227,8 @@ def _storable(name, values, field):
         raise ValueError(f"Invalid column name {name!r}. Must be {wanted}.")
     if field is None or field.name == "gps_time":
         odd = values.dtype.kind == "f" and values.dtype.itemsize not in (4, 8)
-        return values.astype(
-            np.uint8 if values.dtype.kind == "b" else np.float64 if odd else values.dtype
-        )
+        kind = np.float64 if odd else np.uint8 if values.dtype.kind == "b" else values.dtype
+        return values.astype(kind)
     angle = name == "scan_angle"
     low, high = (-180, 180) if angle else (field.min, field.max)
     numbers = values.astype(np.float64)
@@ -362,22 +358,17 @@ def _pointwise(file, record, header, chunks, ends):
     return header.point_count if written == stored else 0
 
 
-def _ply_pieces(path):
-    """A PLY file as one piece."""
-    points, attributes, step = read_ply(path)
-    yield Piece(points, attributes, {"resolution": step}, len(points))
-
-
-def _text_pieces(path):
-    """A text file as one piece."""
+def _of_text(path):
+    """The points and columns of a text file."""
     table = text_table(path, "cloud")
     names = coordinate_columns(table.columns)
     if len(names) < 3:
-        found = f"columns {listed(table.columns)}"
-        raise ValueError(f"Invalid cloud {path} with {found}. Must have x, y, z.")
+        raise ValueError(
+            f"Invalid cloud {path} with columns {listed(table.columns)}. Must have x, y, z."
+        )
     points = with_numbers(table, names, f"cloud {path}", finite=False)[names].to_numpy()
     rest = {name: table[name].to_numpy() for name in table.columns.drop(names)}
-    yield Piece(points, rest, {}, len(points))
+    return points, rest, {}
 
 
 def _marked(piece):

@@ -12,15 +12,9 @@ import numpy as np
 
 from mmqa_lab._checks import check_file, check_same_crs, refuse
 from mmqa_lab.cloud import Cloud
+from mmqa_lab.io import systems
 from mmqa_lab.io.clouds import read_cloud
 from mmqa_lab.io.files import HEAD, reading
-from mmqa_lab.io.systems import (
-    GLOBE_SYSTEM,
-    PLAN_SYSTEM,
-    USER_DEFINED,
-    named_system,
-    system_of_keys,
-)
 from mmqa_lab.io.tables import NO_HEIGHT_M
 
 __all__ = ["IMAGE_ENDINGS", "read_bands", "read_heights", "read_image"]
@@ -247,10 +241,11 @@ def _raster_cloud(path):
         other = mask.shape[:2] != heights.shape
         refuse(other, what, "a mask of other size", "as large as heights")
         heights[mask[..., 0] == 0] = np.nan
-    number = keys.get(PLAN_SYSTEM, keys.get(GLOBE_SYSTEM))
+    number = keys.get(systems.PLAN_SYSTEM, keys.get(systems.GLOBE_SYSTEM))
     found = "a coordinate system without an EPSG number"
-    refuse(number == USER_DEFINED, what, found, RASTERS)
-    crs = system_of_keys(keys, None if number is None else named_system(number, what), what)
+    refuse(number == systems.USER_DEFINED, what, found, RASTERS)
+    crs = None if number is None else systems.named_system(number, what)
+    crs = systems.system_of_keys(keys, crs, what)
     middle = 0.5 if keys.get(1025, 1) == 1 else 0.0
     row, column = np.indices(heights.shape) + middle
     x = place[0, 0] * column + place[0, 3]

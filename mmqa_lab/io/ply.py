@@ -21,21 +21,20 @@ WANTED = "a PLY file with vertices x, y, z"
 
 # Types of properties by both of their names.
 TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
-TYPES |= {"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2"}
-TYPES |= {"int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"}
-TYPES |= {"int64": "i8", "uint64": "u8"}
+TYPES |= {"float": "f4", "double": "f8"}
+TYPES |= {np.dtype(kind).name: kind for kind in (*TYPES.values(), "i8", "u8")}
 
 ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
 
 
 def read_ply(path):
-    """Return the points, columns and resolution of a PLY file's vertices."""
+    """Return the points, columns and {"resolution": step} of a PLY file's vertices."""
     data = Path(path).read_bytes().removeprefix(codecs.BOM_UTF8)
     end = re.search(rb"end_header[ \t]*(\r\n|\n|\r)", data)
     headed = data.startswith(b"ply") and end is not None
     refuse(not headed, f"cloud {path}", "no header", WANTED)
     order, elements = _header(data[: end.start()].decode(errors="replace"), path)
-    found = [name for name, _, fields in elements if {"x", "y", "z"} <= {*map(str.lower, fields)}]
+    found = [name for name, _, fields in elements if {*"xyz"} <= {*map(str.lower, fields)}]
     found.sort(key="vertex".__ne__)  # others, as cameras, may have a place, too
     refuse(not found, f"cloud {path}", "no element has x, y, z", WANTED)
     read = _binary if order else _text
@@ -45,7 +44,8 @@ def read_ply(path):
     largest = np.abs(points[np.isfinite(points)]).max(initial=0)
     step = float(np.spacing(largest)) if points.dtype == np.float32 else np.nan
     names = [name for name in rows.dtype.names if name not in {axes[axis] for axis in "xyz"}]
-    return points.astype(np.float64), {name: np.array(rows[name]) for name in names}, step
+    columns = {name: np.array(rows[name]) for name in names}
+    return points.astype(np.float64), columns, {"resolution": step}
 
 
 def _header(text, path):

@@ -152,9 +152,8 @@ def _with_names(table, names, what):
         words = (numbers.isna() & table.iloc[:, :3].notna()).all()
         counted = count > 3 and (numbers[0].diff()[1:] == 1).all()
         high = count > 3 and (numbers[2].abs() > NO_HEIGHT_M).mean() > 0.5
-        if counted or high or words.any():
-            found = "its first columns are not x, y, z"
-            raise ValueError(f"Invalid {what}: {found}. Must have a header that names them.")
+        other = counted or high or words.any()
+        refuse(other, what, "its first columns are not x, y, z", "named by a header")
     names = names or [*"xyz", *(f"column_{k}" for k in range(4, count + 1))][:count]
     twice = [name for k, name in enumerate(names) if name in names[:k]]
     refuse(twice, what, f"column {[*twice, ''][0]!r} twice", "distinct names")
@@ -293,8 +292,8 @@ def read_trajectory(path: str | os.PathLike) -> pd.DataFrame:
     plain = {_name_and_unit(column): column for column in reversed(raw.columns)}
     for name, spellings in PATH_NAMES.items():
         for key in [key for one in spellings for key in plain if key[0] == one][:1]:
-            if key[1] not in PATH_UNITS:
-                raise ValueError(f"Invalid {what}: column {plain[key]!r}. Must be in s or degrees.")
+            odd = key[1] not in PATH_UNITS
+            refuse(odd, what, f"column {plain[key]!r}", "in s or degrees")
             used = [*used, plain[key]]
             unit = "seconds" if name == "time_s" else "degrees"
             numbers = with_numbers(raw, used[-1:], what, wanted=unit)[plain[key]]
@@ -311,9 +310,8 @@ def read_trajectory(path: str | os.PathLike) -> pd.DataFrame:
     wrapped = (table["time_s"].diff() < -WEEK_S / 2).any()
     table = table.sort_values("time_s", ignore_index=True)
     refuse((table["time_s"].diff() <= 0).any(), what, "a time repeats", "distinct times")
-    if wrapped and "heading_deg" not in table:
-        raise ValueError(f"Invalid {what}: the GPS week ends within it. Must have a heading then.")
     if wrapped:
+        check_columns(table, ["heading_deg"], f"{what}, in which the GPS week ends")
         warnings.warn(f"The GPS week ends within {what}: its times are in two parts.", stacklevel=2)
     return table[[name for name in PATH_ORDER if name in table]]
 
@@ -375,9 +373,9 @@ def read_segments(path: str | os.PathLike) -> np.ndarray:
         first, last = np.split(table.to_numpy(), 2, axis=1)
         colours = (last == np.round(last)).all() and (last >= 0).all() and last.max() <= 65_535
         units = np.abs(np.linalg.norm(last, axis=1) - 1).max() < 1e-2
-        if len(table) > 2 and (units or (colours and (first != np.round(first)).any())):
-            found = "six columns that look like points with colours or normals"
-            raise ValueError(f"Invalid {what}: {found}. Must have a header x1, y1, z1, x2, y2, z2.")
+        doubted = len(table) > 2 and (units or (colours and (first != np.round(first)).any()))
+        found = "six columns that look like points with colours or normals"
+        refuse(doubted, what, found, "with a header x1, y1, z1, x2, y2, z2")
     numbers = with_numbers(table, SEGMENT_COLUMNS, what)
     ends = numbers[SEGMENT_COLUMNS].to_numpy().reshape(-1, 2, 3)
     lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)

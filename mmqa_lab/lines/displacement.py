@@ -434,17 +434,9 @@ def _vote(votes, lines, moved, moves, step, shares):
         place = (row[:, None] * side + cells[..., 0] + half) * side + cells[..., 1] + half
         each = np.zeros((len(rows), side * side), dtype=np.float32)
         np.maximum.at(each.ravel(), place[inside], np.round(32 * value[inside]) / 32)
-        at = np.round(moves @ frame.T).astype(int) + half
-        _add_votes(votes, shares[:, rows] @ each, at[:, 0] * side + at[:, 1])
-
-
-@njit(cache=True, nogil=True)
-def _add_votes(votes, plane, places):
-    """Add to the votes of each move those of its place in a plane (stations, places)."""
-    for station in range(len(votes)):
-        for move in range(len(places)):
-            if votes[station, move] >= 0:
-                votes[station, move] += plane[station, places[move]]
+        at = (np.round(moves @ frame.T).astype(int) + half) @ [side, 1]
+        for station, plane in zip(votes, shares[:, rows] @ each, strict=True):
+            station += plane[at]
 
 
 def _retraced(lines, search, path, turn):

@@ -41,6 +41,8 @@ PAIRING = [
     "one-to-null", "one-to-one", "one-to-multiple", "multiple-to-one", "multiple-to-multiple",
 ]  # fmt: skip
 
+WAYS = ["test to model", "model to test"]
+
 # Parts of a distance, and their sum.
 DISTANCE_PARTS = ["displacement", "position", "direction", "ends", "false pairs", "all"]
 
@@ -224,7 +226,7 @@ class LHD(Shown):
         distances = [side.olhd(self.weight) for side in both]
         return pd.DataFrame(
             {
-                "direction": ["test to model", "model to test"],
+                "direction": WAYS,
                 "p": len(self.test),
                 "q": len(self.model),
                 "pairs": [side.n for side in both],
@@ -350,10 +352,8 @@ def _one_way(source, target, *, threshold, matcher, pairs, weight, rotate, withi
     distances = parts.distance(weight)
     nearest = distances.min(axis=1) if len(target) else np.empty(0)
     if len(nearest) and nearest.min() > 100:
-        raise ValueError(
-            f"Invalid sets {nearest.min():.0f} m apart. "
-            "Must have segments within 100 m of each other, in one coordinate system."
-        )
+        wanted = "segments within 100 m of each other, in one coordinate system"
+        raise ValueError(f"Invalid sets {nearest.min():.0f} m apart. Must have {wanted}.")
     found = Threshold(np.nan, False, np.sort(nearest))
     if pairs is None:
         found = threshold(nearest)
@@ -373,18 +373,15 @@ def _one_way(source, target, *, threshold, matcher, pairs, weight, rotate, withi
 
 def _doubts(test, model, there, back):
     """Reasons to doubt a distance, each as a sentence."""
-    empty = [name for name, ends in (("test", test), ("model", model)) if not len(ends)]
-    if empty:
+    if empty := [name for name, ends in (("test", test), ("model", model)) if not len(ends)]:
         return [f"No {' and no '.join(empty)} segments, so there is nothing to measure."]
     sentences = []
-    for name, side in (("test to model", there), ("model to test", back)):
+    for way, side in zip(WAYS, (there, back), strict=True):
         if side.threshold.fallback:
-            sentences.append(
-                f"No jump in the nearest distances from {name}. "
-                f"The threshold is the largest distance, {side.threshold.delta:.3g} m."
-            )
+            largest = f"The threshold is the largest distance, {side.threshold.delta:.3g} m."
+            sentences.append(f"No jump in the nearest distances from {way}. {largest}")
         if side.n < 5:
-            sentences.append(f"Only {side.n} pairs from {name}. The value may be due to chance.")
+            sentences.append(f"Only {side.n} pairs from {way}. The value may be due to chance.")
     return sentences
 
 
@@ -434,23 +431,18 @@ def compare(
     ['C1 to C3', 'C3 to C1', 'C1 to TLS']
     """
     sets = {name: check_segments(segments, name) for name, segments in sets.items()}
-    numbers = {name: len(np.asarray(segments)) for name, segments in sets.items()}
-    if len(sets) < 2 or not all(numbers.values()):
-        told = listed(f"{name} with {number} segments" for name, number in numbers.items())
+    if len(sets) < 2 or not all(map(len, sets.values())):
+        told = listed(f"{name} with {len(ends)} segments" for name, ends in sets.items())
         raise ValueError(f"Invalid sets {told or 'of none'}. Must be two or more with segments.")
     check_choice(reference, "reference", (None, *sets))
     courses = [name for name in sets if name != reference]
-    pairs = [*combinations(courses, 2)]
-    pairs += [(name, reference) for name in courses if reference is not None]
-    tables = []
-    for names in pairs:
-        table = _compared(names, sets, radius, choices)
-        table.insert(0, "kind", "absolute" if reference in names else "repeatability")
-        tables.append(table)
+    pairs = [("repeatability", names) for names in combinations(courses, 2)]
+    pairs += [("absolute", (name, reference)) for name in courses if reference is not None]
+    tables = [_compared(*pair, sets, radius, choices) for pair in pairs]
     return pd.concat(tables, ignore_index=True)
 
 
-def _compared(names, sets, radius, choices):
+def _compared(kind, names, sets, radius, choices):
     """The two rows of a comparison."""
     test, model = (sets[name] for name in names)
     with warnings.catch_warnings(action="ignore", category=UserWarning):
@@ -460,7 +452,8 @@ def _compared(names, sets, radius, choices):
         moved = match_displaced(test, model, radius=radius)
     table, remarks = found.to_frame(), found.remarks
     table["direction"] = " to ".join(names), " to ".join(names[::-1])
-    table.insert(0, "comparison", "-".join(names))
+    table.insert(0, "kind", kind)
+    table.insert(1, "comparison", "-".join(names))
     table["lhd_low_m"], table["lhd_high_m"] = found.intervals()[["low", "high"]].to_numpy()[0]
     for k, axis in enumerate("xyz"):
         table[f"displacement_{axis}_m"] = moved.vector[k]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -47,10 +46,7 @@ class Edges:
 
 
 def extract_edges(
-    points: ArrayLike,
-    *,
-    tolerance: float = 0.05,
-    size: float | None = None,
+    points: ArrayLike, *, tolerance: float = 0.05, size: float | None = None
 ) -> Edges:
     """Detect planes and intersect neighbours with an angle of 20 degrees or more.
 
@@ -254,9 +250,8 @@ def _runs(sides, cell, clear):
         first, last = edges[start], edges[stop]
         if not all(_full(side, edges[[start, stop]], cell, clear)[0] for side in sides):
             continue
-        lows, highs, counts = zip(
-            *(_ends(side[0], first, last, cell) for side in sides), strict=True
-        )
+        ends = [_ends(side[0], first, last, cell) for side in sides]
+        lows, highs, counts = zip(*ends, strict=True)
         yield max(lows), min(highs), counts
 
 
@@ -277,16 +272,10 @@ def _full(side, edges, cell, clear):
     return fair & (nearest <= clear + away)
 
 
-class End(NamedTuple):
-    """An end of a side: its station along the line and its standard deviation, m."""
-
-    station: float
-    spread: float
-
-
 def _ends(side, first, last, cell):
-    """Both ends of a side about a run of bins, each with its spread, and the number of points.
+    """Both ends of a side about a run of bins, and the number of points between them.
 
+    An end is its station along the line and its standard deviation, m.
     The gap after the last point is exponentially distributed. Its mean is estimated from n gaps, so
     that one gap in 40 is longer than n (40^(1/n) - 1) means. By the same law a side is cut at a gap
     that occurs by chance on one side in 40.
@@ -302,7 +291,7 @@ def _ends(side, first, last, cell):
     a = max((k + 1 for k in broken if k < a), default=0)
     b = min((k for k in broken if k >= b), default=len(inside) - 1)
     spread = gap * (_beyond(n, BEYOND) - 1) / 1.96
-    return End(inside[a] - gap, spread), End(inside[b] + gap, spread), b - a + 1
+    return (inside[a] - gap, spread), (inside[b] + gap, spread), b - a + 1
 
 
 def _beyond(n, draws):

@@ -284,10 +284,8 @@ def check_pairs(pairs: ArrayLike, shape: tuple[int, int]) -> np.ndarray:
     """Return Boolean pairs of a given shape (p, q) as an array."""
     pairs = np.asarray(pairs)
     if pairs.dtype != bool or pairs.shape != shape:
-        raise ValueError(
-            f"Invalid pairs of type {pairs.dtype} and shape {pairs.shape}. "
-            f"Must be Boolean of shape {shape}."
-        )
+        found = f"of type {pairs.dtype} and shape {pairs.shape}"
+        raise ValueError(f"Invalid pairs {found}. Must be Boolean of shape {shape}.")
     return pairs
 
 
