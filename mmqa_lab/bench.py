@@ -35,7 +35,7 @@ from mmqa_lab._checks import check_choice
 
 __all__ = [
     "Comparison", "cell_table", "compare", "failures", "figure_names", "grid", "heading", "plot",
-    "plot_tables", "rank", "run", "split_unit", "summary",
+    "plot_tables", "rank", "remarked", "run", "split_unit", "summary",
 ]  # fmt: skip
 
 # Most characters of a reason.
@@ -409,6 +409,42 @@ def failures(results: xr.Dataset) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["method", "reason", "count", "first_case"])
 
 
+def remarked(table: pd.DataFrame, results: xr.Dataset) -> pd.DataFrame:
+    """Return a table of methods with a remark on each method that measured no cell.
+
+    Parameters
+    ----------
+    table : DataFrame
+        A table with a column ``method``, such as :func:`summary` returns.
+    results : Dataset
+        From :func:`run`.
+
+    Returns
+    -------
+    DataFrame
+        The column ``remarks`` names the method, its first reason, and the line of its code; it is
+        added only if there is such a method. A method without a row gets one, empty but for it.
+
+    Examples
+    --------
+    >>> with warnings.catch_warnings(action="ignore"):
+    ...     results = run([{"n": 3}], {"mine": str, "ours": int}, make=lambda n, seed: n)
+    >>> remarked(pd.DataFrame({"method": ["ours"]}), results)["remarks"].tolist()
+    ['', 'mine: value is of type str. Must be finite numbers.']
+    """
+    failed = failures(results)
+    cells = results["failure"].size / results.sizes["method"]
+    failed = failed[failed.groupby("method")["count"].transform("sum") == cells]
+    failed = failed.drop_duplicates("method").set_index("method", drop=False)
+    if failed.empty:
+        return table
+    pd.set_option("display.max_colwidth", None)  # a notebook would cut a reason after 50 letters
+    absent = failed.loc[~failed["method"].isin(table["method"]), ["method"]]
+    whole = pd.concat([table, absent], ignore_index=True)
+    remarks = failed["method"] + ": " + failed["reason"]
+    return whole.assign(remarks=whole["method"].map(remarks).fillna(""))
+
+
 def cell_table(results: xr.Dataset) -> pd.DataFrame:
     """Return a row for each cell: method, parameters, seed, and all numbers.
 
@@ -476,7 +512,9 @@ def summary(
         ``method``, the parameters of ``by``, ``mean``, ``low`` and ``high``, ``n`` (cells measured)
         and ``missing`` (cells that are NaN). The names of the first three numbers end with the
         unit of the figure. ``low`` and ``high`` are the 95 % confidence interval of the mean by
-        Student's t over the cells, NaN for fewer than two cells.
+        Student's t over the cells, NaN for fewer than two cells. With a method that measured no
+        cell, a column ``remarks`` says why, see :func:`remarked`; :func:`compare` and :func:`rank`
+        have it, too.
 
     Raises
     ------
@@ -498,7 +536,7 @@ def summary(
     for key, part in cell_table(results).groupby(keys, sort=False, dropna=False):
         rows.append((*key, *_t_interval(part[figure].to_numpy()), part[figure].isna().sum()))
     figures = [f"mean{ending}", f"low{ending}", f"high{ending}", "n", "missing"]
-    return pd.DataFrame(rows, columns=[*keys, *figures])
+    return remarked(pd.DataFrame(rows, columns=[*keys, *figures]), results)
 
 
 def plot(results: xr.Dataset, figures: Sequence[str] = (), *, own: Sequence[str] = ()) -> Figure:
@@ -604,7 +642,8 @@ def compare(
         share = (sign * pairs.dropna() > 0).mean()
         rows.append((method, mean, low, high, n, len(pairs) - n, share))
     figures = [f"difference{ending}", f"low{ending}", f"high{ending}"]
-    return pd.DataFrame(rows, columns=["method", *figures, "n", "missing", "better_share"])
+    columns = ["method", *figures, "n", "missing", "better_share"]
+    return remarked(pd.DataFrame(rows, columns=columns), results)
 
 
 def rank(results: xr.Dataset, truth: str, figure: str | None = None) -> pd.DataFrame:
@@ -671,8 +710,8 @@ def rank(results: xr.Dataset, truth: str, figure: str | None = None) -> pd.DataF
     columns["behind_best"] = np.abs(found[best]) - np.abs(found)
     behind = np.abs(np.array(drawn)[:, [best]]) - np.abs(drawn)
     columns["behind_low"], columns["behind_high"] = _percentiles(behind)
-    table = pd.DataFrame(columns)
-    return table.sort_values("behind_best", kind="stable").reset_index(drop=True)
+    table = pd.DataFrame(columns).sort_values("behind_best", kind="stable", ignore_index=True)
+    return remarked(table, results)
 
 
 def _spearman(rows, true):

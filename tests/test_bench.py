@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from distributed import Client
+from IPython.core.interactiveshell import InteractiveShell
 from scipy import stats
 
 from mmqa_lab import bench
@@ -372,6 +373,33 @@ def test_command_says_what_failed_and_goes_on_or_raises(call):
         call("--method researcher:upset --raise")
     _, out, _ = call("--method researcher:words --quick")
     assert "words: value is of type str. Must be finite numbers (line 13 of words)." in out
+
+
+SAID = {
+    "words": ("return 'x'", "value is of type str. Must be finite numbers (line 1 of mine)."),
+    "raising": ("raise ValueError('no signal')", "ValueError: no signal (line 2 of mine)"),
+    "signature": (None, "missing 1 required positional argument: 'y' (line 1 of mine)"),
+    "slow and nothing": ("sum(range(10**5))", "TypeError: nothing is returned (line 1 of mine)"),
+}
+
+
+@pytest.mark.parametrize(("body", "reason"), SAID.values(), ids=SAID)
+def test_a_notebooks_table_names_what_failed_with_its_line(body, reason):
+    shell = InteractiveShell()
+    shell.run_cell(f"def mine(x):\n    {body}" if body else "def mine(x, y):\n    return x")
+    found = quietly(CASES, {"std": np.std, "mine": shell.user_ns["mine"]}, make=noisy)
+    tables = [
+        bench.summary(found, "value"),
+        bench.summary(found, "value", by="sigma"),
+        bench.rank(found, "sigma", "value"),
+        bench.compare(found, "value", reference="std"),
+        bench.remarked(pd.DataFrame({"method": ["std"]}), found),
+    ]
+    for table in tables:
+        assert reason in shell.display_formatter.format(table.round(2))[0]["text/html"]
+    assert "remarks" not in bench.summary(found.sel({"method": ["std"]}), "value")
+    found["failure"][{"method": 1, "sigma": 0}] = ""  # with some cells it has its figures
+    assert "remarks" not in bench.summary(found, "value")
 
 
 def test_a_failing_method_is_named_where_the_answer_has_no_row_for_it(call, monkeypatch):

@@ -72,11 +72,7 @@ def bench(
         if out is not None:
             kept = {"cells": bench.cell_table(results), "failures": bench.failures(results)}
             _write_bench(out, tables | kept, lambda: bench.plot_tables(drawn, own=[*own]))
-    failed = bench.failures(results).query("method in @own").drop_duplicates("method")
-    if failed.empty or "method" not in answer:  # then the warning of the run says it
-        return answer
-    remarks = dict(zip(failed["method"], failed["method"] + ": " + failed["reason"], strict=True))
-    return answer.assign(remarks=answer["method"].map(remarks).fillna(""))
+    return bench.remarked(answer, results) if "method" in answer else answer
 
 
 def _answers(comparison, results):
@@ -89,7 +85,9 @@ def _answers(comparison, results):
     figures = figures or bench.figure_names(results)
     drawn = {name: bench.summary(results, name) for name in figures}
     names = ["method", "mean", "low", "high", "n", "missing"]
-    rows = [part.set_axis(names, axis=1).assign(figure=name) for name, part in drawn.items()]
+    rows = [
+        part.iloc[:, :6].set_axis(names, axis=1).assign(figure=name) for name, part in drawn.items()
+    ]
     tables = comparison.tables(results) if comparison.tables else {}
     tables["summary"] = pd.concat(rows, ignore_index=True)
     answer = next(iter(tables.values()))
