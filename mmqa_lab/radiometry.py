@@ -290,8 +290,8 @@ def fit_sensor(
     fit = WLS(dn[used], design[used], weights=std[used] ** -2).fit()
     gain, offset = np.append(fit.params, 0.0)[:2].tolist()
     residuals = np.where(used, dn - design @ fit.params, np.nan)
-    explained = {"r_squared": float(fit.rsquared), "saturated": int((~used).sum())}
-    return SensorFit(gain, offset, np.append(fit.bse, 0.0)[:2], residuals=residuals, **explained)
+    std, saturated = np.append(fit.bse, 0.0)[:2], int((~used).sum())
+    return SensorFit(gain, offset, std, float(fit.rsquared), residuals, saturated)
 
 
 def coarse_pairs(image: ArrayLike, reference: ArrayLike) -> tuple[np.ndarray, np.ndarray]:

@@ -306,6 +306,14 @@ def test_noise_alone_is_neither_bent_nor_stepped(seed, n, wide):
     assert not any("surface is" in one for one in evaluate_cloud(points).remarks)
 
 
+def test_a_number_turns_the_axes_counter_clockwise_about_the_normal():
+    points = np.random.default_rng(3).random((400, 3)) * [3, 1, 0.002]
+    straight, turned = (evaluate_cloud(points, axes=one).plane.axes for one in ("principal", 20.0))
+    sine = np.cross(straight[0], turned[0]) @ np.cross(*straight)
+    assert sine == pytest.approx(np.sin(np.radians(20)))
+    assert np.cross(*turned) @ np.cross(*straight) == pytest.approx(1)
+
+
 def test_axes_by_chance_give_no_interval_of_what_depends_on_them(rng):
     """Two heads crossing on the ground: f follows from axes that the next scan has elsewhere."""
     along, line = np.meshgrid(np.arange(0, 1, 0.01), np.arange(0, 1, 0.05))
