@@ -446,11 +446,9 @@ def _rank(value, name):
 def _matches(figures, criterion):
     """The figures that a criterion applies to."""
     fits = figures["quantity"] == criterion.quantity
-    if np.isfinite(criterion.distance_m):
-        fits &= figures["distance_m"] == criterion.distance_m
-    for name in ("view", "direction"):
-        if getattr(criterion, name):
-            fits &= figures[name] == getattr(criterion, name)
+    for name in PLACE:
+        wanted = getattr(criterion, name)
+        fits &= (figures[name] == wanted) | (wanted == "") | pd.isna(wanted)
     return fits
 
 

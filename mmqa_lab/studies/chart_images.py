@@ -240,14 +240,10 @@ def _view(row, distance_m, view, layout, rng):
     straight = view == "orthogonal"
     angle = 0.0 if straight else float(np.arccos(min(upright / along, 1)))
     pixel_mm = (upright + along) / 2 if straight else upright
-    return cameras.chart_view(
-        cameras.PanoramaCamera(2 * round(1000 * np.pi * distance_m / pixel_mm)),
-        distance=distance_m * np.cos(angle),
-        heading_deg=np.degrees(-angle if view == "backward" else angle),
-        roll_deg=rng.uniform(-1, 1),
-        aim_deg=rng.uniform(0, 2),
-        layout=layout,
-    )
+    camera = cameras.PanoramaCamera(2 * round(1000 * np.pi * distance_m / pixel_mm))
+    turn = {"heading_deg": np.degrees(-angle if view == "backward" else angle)}
+    turn |= {"roll_deg": rng.uniform(-1, 1), "aim_deg": rng.uniform(0, 2)}
+    return cameras.chart_view(camera, distance=distance_m * np.cos(angle), layout=layout, **turn)
 
 
 def _blur_px(chart_map, travel_mm, pairs):
