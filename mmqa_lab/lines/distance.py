@@ -430,15 +430,15 @@ def compare(
     >>> compare(sets, reference="TLS")["direction"].tolist()[:3]
     ['C1 to C3', 'C3 to C1', 'C1 to TLS']
     """
-    sets = {name: check_segments(segments, name) for name, segments in sets.items()}
-    if len(sets) < 2 or not all(map(len, sets.values())):
-        told = listed(f"{name} with {len(ends)} segments" for name, ends in sets.items())
+    checked = {name: check_segments(segments, name) for name, segments in sets.items()}
+    if len(checked) < 2 or not all(map(len, checked.values())):
+        told = listed(f"{name} with {len(ends)} segments" for name, ends in checked.items())
         raise ValueError(f"Invalid sets {told or 'of none'}. Must be two or more with segments.")
     check_choice(reference, "reference", (None, *sets))
     courses = [name for name in sets if name != reference]
     pairs = [("repeatability", names) for names in combinations(courses, 2)]
     pairs += [("absolute", (name, reference)) for name in courses if reference is not None]
-    tables = [_compared(*pair, sets, radius, choices) for pair in pairs]
+    tables = [_compared(*pair, checked, radius, choices) for pair in pairs]
     return pd.concat(tables, ignore_index=True)
 
 
