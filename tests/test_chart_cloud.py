@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmqa_lab import tender
+from mmqa_lab import chart_cloud, planes, spacing, tender
 from mmqa_lab.__main__ import main
+from mmqa_lab._checks import check_points
 from mmqa_lab.chart_cloud import (
     chart_polygon,
     evaluate_cloud,
@@ -304,6 +305,21 @@ def test_noise_alone_is_neither_bent_nor_stepped(seed, n, wide):
     rng = np.random.default_rng(seed)
     points = np.column_stack([rng.random((n, 2)) * [wide, 1], rng.normal(0, 0.004, n)])
     assert not any("surface is" in one for one in evaluate_cloud(points).remarks)
+
+
+def test_points_are_checked_once_on_their_way(monkeypatch):
+    checked = []
+
+    def counted(points, **choices):
+        checked.append(len(points))
+        return check_points(points, **choices)
+
+    for room in (chart_cloud, planes, spacing):
+        monkeypatch.setattr(room, "check_points", counted)
+    points = np.random.default_rng(3).random((400, 3)) * [3, 1, 0.002]
+    evaluate_cloud(points, rho0=3000.0)
+    evaluate_cloud(points, polygon=[[0, 0, 0], [2, 0, 0], [2, 1, 0], [0, 1, 0]])
+    assert [n for n in checked if n > 4] == [400, 400]
 
 
 def test_a_number_turns_the_axes_counter_clockwise_about_the_normal():
