@@ -20,14 +20,13 @@ from mmqa_lab._checks import (
     check_columns,
     check_file,
     check_points,
-    listed,
     refuse,
 )
 from mmqa_lab.cloud import Cloud, extent, unit_remarks
 from mmqa_lab.io.files import reading, write_atomically
 from mmqa_lab.io.ply import read_ply
 from mmqa_lab.io.systems import las_system
-from mmqa_lab.io.tables import coordinate_columns, text_table, with_numbers
+from mmqa_lab.io.tables import text_places
 
 __all__ = ["CLOUD_ENDINGS", "LAS_ENDINGS", "iterate_cloud", "read_cloud", "write_cloud"]
 
@@ -66,7 +65,7 @@ class Piece(NamedTuple):
 
     points: np.ndarray
     columns: dict
-    about: dict
+    about: Mapping = MappingProxyType({})
     total: int = 0
     left: Mapping = MappingProxyType({})
     said: Mapping = MappingProxyType({})
@@ -144,7 +143,8 @@ def iterate_cloud(
     if ending in LAS_ENDINGS:
         pieces = _las_pieces(path, chunk, columns)
     else:
-        pieces = [Piece(*(read_ply if ending == ".ply" else _of_text)(path))]
+        ply = ending == ".ply"
+        pieces = [Piece(*(read_ply(path) if ply else text_places(path, "cloud", finite=False)))]
     read, dropped, counted = 0, Counter(), Counter()
     for piece in pieces:
         left, said = _marked(piece)
@@ -356,19 +356,6 @@ def _pointwise(file, record, header, chunks, ends):
     again = bytes(lazrs.compress_points(lazrs.LazVlr(record), bytes(points), False))
     written = again[8 : struct.unpack("<q", again[:8])[0]].rstrip(b"\0")
     return header.point_count if written == stored else 0
-
-
-def _of_text(path):
-    """The points and columns of a text file."""
-    table = text_table(path, "cloud")
-    names = coordinate_columns(table.columns)
-    if len(names) < 3:
-        raise ValueError(
-            f"Invalid cloud {path} with columns {listed(table.columns)}. Must have x, y, z."
-        )
-    points = with_numbers(table, names, f"cloud {path}", finite=False)[names].to_numpy()
-    rest = {name: table[name].to_numpy() for name in table.columns.drop(names)}
-    return points, rest, {}
 
 
 def _marked(piece):

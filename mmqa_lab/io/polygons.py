@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_columns, check_file, check_polygon, check_same_crs, refuse
+from mmqa_lab._checks import check_file, check_polygon, check_same_crs, refuse
 from mmqa_lab.io.files import plain_text, reading, write_atomically
 from mmqa_lab.io.systems import named_system
-from mmqa_lab.io.tables import coordinate_columns, text_table, with_numbers
+from mmqa_lab.io.tables import text_places
 
 __all__ = ["OUTLINE_ENDINGS", "read_polygon", "write_polygon"]
 
@@ -61,12 +61,7 @@ def read_polygon(source: str | os.PathLike, *, crs: object = None) -> np.ndarray
         return check_polygon(vertices)
     if check_file(source, "polygon").suffix.lower() in OUTLINE_ENDINGS:
         return _polygon_of_geojson(Path(source), crs)
-    table = text_table(source, "polygon")
-    names = coordinate_columns(table.columns)
-    check_columns(dict.fromkeys("xyz"[: len(names)]), "xyz", f"polygon {source}")
-    return check_polygon(
-        with_numbers(table, names, f"polygon {source}")[names], name=f"polygon {source}"
-    )
+    return check_polygon(text_places(source, "polygon")[0], name=f"polygon {source}")
 
 
 def _polygon_of_geojson(path, crs):

@@ -17,8 +17,8 @@ from mmqa_lab.cloud import unit_remarks
 from mmqa_lab.io.files import plain_text
 
 __all__ = [
-    "coordinate_columns", "read_segments", "read_table", "read_trajectory", "text_table",
-    "with_numbers",
+    "coordinate_columns", "read_segments", "read_table", "read_trajectory", "text_places",
+    "text_table", "with_numbers",
 ]  # fmt: skip
 
 # Columns of tables that are taken for coordinates, the first that are there.
@@ -180,6 +180,16 @@ def _is_data(words):
     """Whether a line has numbers rather than names: two words or more begin as numbers do."""
     begun = [bool(re.match(r"[+-]?[.,]?\d", word)) for word in words]
     return sum(begun) >= min(2, len(words)) or (len(words) > 0 and words[0].lower() == "nan")
+
+
+def text_places(path: str | os.PathLike, name: str, *, finite: bool = True) -> tuple:
+    """The coordinates (n, 3) of a text file, and its other columns {name: values}."""
+    what, table = f"{name} {path}", text_table(path, name)
+    names = coordinate_columns(table.columns)
+    if len(names) < 3:
+        raise ValueError(f"Invalid {what} with columns {listed(table.columns)}. Must have x, y, z.")
+    places = with_numbers(table, names, what, finite=finite)[names].to_numpy()
+    return places, {other: table[other].to_numpy() for other in table.columns.drop(names)}
 
 
 def coordinate_columns(names: Sequence[str]) -> list[str]:

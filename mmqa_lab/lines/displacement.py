@@ -342,11 +342,6 @@ class _Search:
             yield self.moves[path]
             _forbid_around(self.votes, self.moves, path)
 
-    def straight(self, path):
-        """A path whose displacement changes evenly."""
-        powers = np.vander(self.stations, 2)
-        return powers @ np.linalg.pinv(powers) @ path
-
     def along(self, places):
         """Position of places along the longer side, m from the middle."""
         return (places - self.centre)[:, :2] @ self.way
@@ -441,7 +436,8 @@ def _vote(votes, lines, moved, moves, step, shares):
 
 def _retraced(lines, search, path, turn):
     """Displacement by the best finer path about the straight one next to a path."""
-    straight = search.straight(path)
+    powers = np.vander(search.stations, 2)
+    straight = powers @ np.linalg.pinv(powers) @ path
     again = lines.again(search.at(lines.place, straight, turn))
     fine = _Search(again, FINE_RADIUS_M, search.at(again.place, straight, turn))
     around = np.pad(straight + next(fine.paths()), ((1, 1), (0, 0)), mode="edge")
