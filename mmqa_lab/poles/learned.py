@@ -525,13 +525,45 @@ class Described(NamedTuple):
         return self.axes[:, :2] + shift
 
 
-def describe(points, origin=0.0):
-    """Return the ``Described`` candidates of points (n, 3), metres from an origin nearby (3,)."""
+def own_frame(points):
+    """Return an origin (3,) and axes in columns (3, 3) that turn and move with points (n, 3), m.
+
+    The third axis is upright. The second follows the longest extent in plan, as in the streets of
+    the lessons, so directions are told from the street and not from north. Far points hardly count.
+    Of a large cloud the points of some levels are asked, the same whatever their order.
+
+    Examples
+    --------
+    >>> origin, axes = own_frame(np.array([[0, 0, 5], [3, 3, 5], [6, 6, 5.0]]))
+    >>> origin.round(9).tolist(), axes.round(3)[:, 1].tolist()
+    ([3.0, 3.0, 5.0], [0.707, 0.707, 0.0])
+    """
+    level = (points[:, 2] - np.median(points[:, 2])) % LOW_M
+    asked = level * max(len(points) // MOST_ASKED, 1) <= LOW_M
+    plan, first = (points[asked, :2] - points[0, :2]) @ [1, 1j], points[0, :2]
+    weight = np.ones(len(plan))
+    for _ in range(30):
+        centre = np.average(plan, weights=weight)
+        away = np.abs(plan - centre)
+        weight = (1 + (away / (2 * np.median(away) + LOW_M)) ** 2) ** -2.0
+    off = plan - centre
+    angle = np.angle((weight * off**2).sum()) / 2
+    angle += np.pi * ((weight * (off * np.exp(-1j * angle)).real ** 3).sum() < 0)
+    along = np.array([np.cos(angle), np.sin(angle), 0])
+    axes = np.column_stack([np.cross(along, [0, 0, 1]), along, [0, 0, 1]])
+    return np.array([*first + [centre.real, centre.imag], np.floor(points[:, 2].min())]), axes
+
+
+UNTURNED = np.eye(3)
+
+
+def describe(points, origin=(0.0, 0.0, 0.0), axes=UNTURNED):
+    """Return the ``Described`` candidates of points (n, 3), m, from an origin along ``axes``."""
 
     def parts():
-        """The points from the origin, a part at a time: a large cloud is held once."""
+        """The points in that frame, a part at a time: a large cloud is held once."""
         for first in range(0, len(points), PART):
-            yield points[first : first + PART] - origin
+            yield (points[first : first + PART] - origin) @ axes
 
     def over_ground(part):
         height = part[:, 2] - height_of(part)
@@ -544,8 +576,8 @@ def describe(points, origin=0.0):
     return Described(axes, *measure(thin, axes), height_of, above, thin.coarse)
 
 
-PART = 1_000_000
-"""Points that are handled at a time while the ground is sought."""
+PART, MOST_ASKED = 1_000_000, 200_000
+"""Points that are handled at a time while the ground is sought; about so many give the frame."""
 
 
 def detect(points, origin=0.0, *, threshold=THRESHOLD, trees=None, explain=False):
@@ -572,7 +604,9 @@ def detect(points, origin=0.0, *, threshold=THRESHOLD, trees=None, explain=False
         ``section_m``, from the origin.
     """
     trees = shipped() if trees is None else trees
-    found = describe(points if len(points) else np.zeros((1, 3)), origin)  # ground without poles
+    points = points if len(points) else np.zeros((1, 3))  # ground without poles
+    own, turned = own_frame(points)
+    found = describe(points, own, turned)
     axes, height_of = found.axes, found.ground
     score = trees.score(found.measures)
     doubtful = score > DOUBT
@@ -591,9 +625,11 @@ def detect(points, origin=0.0, *, threshold=THRESHOLD, trees=None, explain=False
     sizes = pd.DataFrame(sections(found, kept), index=np.flatnonzero(kept))
     top = found.measures["top_m"].to_numpy()[kept] + BIN_M
     reason[kept] = np.where(top < STOUT * sizes["section_m"], "section", "")
-    rows = {"x_m": xy[:, 0], "y_m": xy[:, 1], "z_base_m": height_of(axes) + low}
+    foot = np.column_stack([xy, height_of(axes) + low]) @ turned.T + own - origin
+    lean = axes[:, 2:4] @ turned[:2, :2].T
+    rows = dict(zip(("x_m", "y_m", "z_base_m"), foot.T, strict=True))
     rows |= {"height_m": high - low} | dict(sizes.reindex(range(len(axes))))
-    rows |= {"lean_x": axes[:, 2], "lean_y": axes[:, 3], "score": score, "rejected_by": reason}
+    rows |= {"lean_x": lean[:, 0], "lean_y": lean[:, 1], "score": score, "rejected_by": reason}
     if explain:
         parts = pd.DataFrame(trees.parts(found.measures)[0], columns=[*MEASURES])
         rows |= dict(found.measures) | dict(parts.add_prefix("adds_"))
