@@ -236,11 +236,11 @@ def test_ground_follows_a_slope_without_roofs_and_strays(rng):
 
 
 def test_parts_of_a_large_cloud_are_handled_as_the_whole(monkeypatch, street):
-    points, origin = street[1].points, np.array([3.0, 5.0, 0.0])
-    whole = learned.detect(points, origin)
+    points = street[1].points
+    whole = learned.detect(points)
     height = common.ground(points)(points)
     monkeypatch.setattr(learned, "PART", len(points) // 7)
-    assert learned.detect(points, origin).equals(whole)
+    assert learned.detect(points).equals(whole)
     assert learned.describe(points).ground(points) == pytest.approx(height, abs=1e-12)
     # a part holds the cloud's third lowest point of a cell although it is the lowest there
     heights = np.arange(12.0)[::-1, None] * [0, 0, 1]
@@ -251,7 +251,7 @@ def test_parts_of_a_large_cloud_are_handled_as_the_whole(monkeypatch, street):
 def test_a_large_cloud_is_not_copied(street):
     points = np.tile(street[1].points, (1 + 3_000_000 // len(street[1]), 1))
     tracemalloc.start()
-    learned.describe(points, points.min(axis=0))
+    learned.describe(points, learned.own_frame(points))
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert most < 1.5 * points.nbytes

@@ -1,8 +1,8 @@
 """A learned detector with named measures and small decision trees.
 
 The cloud is thinned, and columns of points become candidates. Each candidate gets an axis and the
-``MEASURES``. Shallow trees, grown on simulated streets, give the probability that it is a pole. The
-method needs no scan lines. ``python -m mmqa_lab.studies.poles_training`` grows ``trees.csv`` again.
+``MEASURES``. Shallow trees, grown on simulated streets, give the score. The method needs no scan
+lines. ``python -m mmqa_lab.studies.poles_training`` grows ``trees.csv`` again.
 """
 
 from collections.abc import Callable
@@ -39,9 +39,10 @@ NARROW = 0.5
 REACH_M, COARSE_M, WIDE_M, ARCS = 1.0, 0.3, 4.0, 24
 MAX_LEAN, WIDEST_M, APART_M = 0.27, 0.6, 0.6
 THRESHOLD, DOUBT, LENGTH_M = 0.37, 0.02, 1.0
-"""Scores are calibrated on streets of two generators of the tests. The threshold, the lessons and
-the measures were chosen on simulated streets of three generators, on posts and with the real street
-of study 06 in sight. Tests, studies and benchmarks use other streets."""
+"""Scores are calibrated on streets of two generators of the tests; on others they are a probability
+above .7 and an order below. The threshold, the lessons and the measures were chosen on simulated
+streets of three generators, on posts and with the real street of study 06 in sight. Tests, studies
+and benchmarks use other streets."""
 
 MEASURES = {
     "run_m": ("longest stretch with points in the core and hardly any around it", 1),
@@ -535,7 +536,7 @@ def own_frame(points):
     Examples
     --------
     >>> origin, axes = own_frame(np.array([[0, 0, 5], [3, 3, 5], [6, 6, 5.0]]))
-    >>> origin.round(9).tolist(), axes.round(3)[:, 1].tolist()
+    >>> origin.round(9).tolist(), np.abs(axes[:, 1]).round(3).tolist()
     ([3.0, 3.0, 5.0], [0.707, 0.707, 0.0])
     """
     level = (points[:, 2] - np.median(points[:, 2])) % LOW_M
@@ -554,16 +555,14 @@ def own_frame(points):
     return np.array([*first + [centre.real, centre.imag], np.floor(points[:, 2].min())]), axes
 
 
-UNTURNED = np.eye(3)
-
-
-def describe(points, origin=(0.0, 0.0, 0.0), axes=UNTURNED):
-    """Return the ``Described`` candidates of points (n, 3), m, from an origin along ``axes``."""
+def describe(points, frame=None):
+    """Return the ``Described`` candidates of points (n, 3), m, in a frame such as ``own_frame``."""
+    origin, turn = frame or (0.0, np.eye(3))
 
     def parts():
         """The points in that frame, a part at a time: a large cloud is held once."""
         for first in range(0, len(points), PART):
-            yield (points[first : first + PART] - origin) @ axes
+            yield (points[first : first + PART] - origin) @ turn
 
     def over_ground(part):
         height = part[:, 2] - height_of(part)
@@ -580,15 +579,13 @@ PART, MOST_ASKED = 1_000_000, 200_000
 """Points that are handled at a time while the ground is sought; about so many give the frame."""
 
 
-def detect(points, origin=0.0, *, threshold=THRESHOLD, trees=None, explain=False):
+def detect(points, *, threshold=THRESHOLD, trees=None, explain=False):
     """Return the poles of points (n, 3) as :func:`mmqa_lab.poles.detect` does.
 
     Parameters
     ----------
     points : array, shape (n, 3)
         Metres.
-    origin : array, shape (3,), optional
-        A place nearby, from which the poles are told.
     threshold : float
         Least score of a pole.
     trees : Trees, optional
@@ -601,12 +598,12 @@ def detect(points, origin=0.0, *, threshold=THRESHOLD, trees=None, explain=False
     -------
     DataFrame
         The columns of :func:`mmqa_lab.poles.common.table`, the interval of the diameter, and
-        ``section_m``, from the origin.
+        ``section_m``.
     """
     trees = shipped() if trees is None else trees
     points = points if len(points) else np.zeros((1, 3))  # ground without poles
-    own, turned = own_frame(points)
-    found = describe(points, own, turned)
+    origin, turned = own_frame(points)
+    found = describe(points, (origin, turned))
     axes, height_of = found.axes, found.ground
     score = trees.score(found.measures)
     doubtful = score > DOUBT
@@ -625,7 +622,7 @@ def detect(points, origin=0.0, *, threshold=THRESHOLD, trees=None, explain=False
     sizes = pd.DataFrame(sections(found, kept), index=np.flatnonzero(kept))
     top = found.measures["top_m"].to_numpy()[kept] + BIN_M
     reason[kept] = np.where(top < STOUT * sizes["section_m"], "section", "")
-    foot = np.column_stack([xy, height_of(axes) + low]) @ turned.T + own - origin
+    foot = np.column_stack([xy, height_of(axes) + low]) @ turned.T + origin
     lean = axes[:, 2:4] @ turned[:2, :2].T
     rows = dict(zip(("x_m", "y_m", "z_base_m"), foot.T, strict=True))
     rows |= {"height_m": high - low} | dict(sizes.reindex(range(len(axes))))
@@ -724,7 +721,7 @@ def lessons(points, targets, *, weight=1.0, poles=2.5):
         of any pole are left out.
     """
     origin = np.floor(points.min(axis=0))
-    found = describe(points, origin)
+    found = describe(points - origin)
     half = targets["height_m"].to_numpy() / 2
     height = found.ground(found.axes) + (found.shaft["low"] + found.shaft["high"]) / 2 + origin[2]
     rise = np.clip(height[:, None] - targets["z_base_m"].to_numpy() - half, -half, half)

@@ -152,7 +152,7 @@ def rated(count):
         yield "real street, with lessons of its other half", with_real_lessons()
 
 
-BANDS = (0.5, 0.7, 0.9, 0.97, 1.0)
+BANDS = (learned.THRESHOLD, 0.5, 0.7, 0.9, 0.97, 1.0)
 
 
 def score_bands(rows):
