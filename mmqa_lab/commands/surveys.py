@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from mmqa_lab._checks import check_choice, check_outputs, check_upright
+from mmqa_lab._checks import check_choice, check_outputs, check_upright, refuse
 from mmqa_lab.commands.machine import (
     FIGURE_ENDINGS,
     check_ending,
@@ -519,10 +519,8 @@ def calibrate(
         clouds = [io.read_cloud(file) for file in progress(drives, "cloud")]
         paths = [Trajectory.from_table(io.read_trajectory(file)) for file in trajectory]
         paths = paths * len(clouds) if len(paths) == 1 else paths
-        if len(paths) != len(clouds):
-            raise ValueError(
-                f"Invalid trajectories: {len(paths)}. Must be one, or one for each drive."
-            )
+        unlike = len(paths) != len(clouds)
+        refuse(unlike, "trajectories", str(len(paths)), "one, or one for each drive")
         heads = 1 + max(int(np.max(cloud["head"])) if "head" in cloud else 0 for cloud in clouds)
         arms = lever_arm or ["0,0,0"] * heads
         try:
