@@ -22,17 +22,9 @@ CONSISTENT_SCALE = 1.482602218505602
 
 
 __all__ = [
-    "Errors",
-    "Interval",
-    "Rate",
-    "bootstrap",
-    "errors",
-    "mean_reach",
-    "median_interval",
-    "median_ratio_interval",
-    "order_parts",
-    "wilson",
-]
+    "Errors", "Interval", "Rate", "bootstrap", "errors", "mean_reach", "median_interval",
+    "median_ratio_interval", "order_parts", "wilson",
+]  # fmt: skip
 
 HALF_WAVES = np.arange(3, 11)
 """Numbers of half waves over the points, for the errors that neighbours share. A single one would
@@ -229,10 +221,7 @@ class Interval(Shown):
 
 
 def bootstrap(
-    statistic: Callable[..., float],
-    *values: ArrayLike,
-    repeats: int = 1000,
-    seed: int = 0,
+    statistic: Callable[..., float], *values: ArrayLike, repeats: int = 1000, seed: int = 0
 ) -> Interval:
     """Return a statistic with a percentile bootstrap interval of 95 %.
 

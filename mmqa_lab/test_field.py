@@ -28,13 +28,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import Delaunay, QhullError, cKDTree
 from threadpoolctl import threadpool_limits
 
-from mmqa_lab._checks import (
-    check_choice,
-    check_columns,
-    check_number,
-    check_points,
-    check_positive,
-)
+from mmqa_lab._checks import check_choice, check_columns, check_number, check_points, check_positive
 from mmqa_lab._results import sentences
 from mmqa_lab.planes import fit_circle, fit_line
 from mmqa_lab.spacing import block_numbers

@@ -26,6 +26,7 @@ Planning: :func:`largest_speed`, :func:`propagate`, :func:`explain_error`. Measu
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
@@ -46,22 +47,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __all__ = [
-    "LATTICE_QUANTITIES",
-    "Lattice",
-    "Patch",
-    "ScanSetup",
-    "Target",
-    "detail_size",
-    "explain_error",
-    "largest_speed",
-    "lattice_distances",
-    "measure_pattern",
-    "mimic",
-    "propagate",
-    "revolutions_from_time",
-    "scan_lattice",
-    "speeds",
-]
+    "LATTICE_QUANTITIES", "Lattice", "Patch", "ScanSetup", "Target", "detail_size",
+    "explain_error", "largest_speed", "lattice_distances", "measure_pattern", "mimic",
+    "propagate", "revolutions_from_time", "scan_lattice", "speeds",
+]  # fmt: skip
 
 # Quantities that have derivatives; d1, d4 and f jump from lattice point to lattice point.
 SMOOTH = (*MEASURED, "density_per_m2")
@@ -611,14 +600,12 @@ def speeds(
     """
     rows = []
     for asked, limit in (("detail_mm", 1000 * detail), ("density_per_m2", rho0), ("f", f)):
-        try:
+        rows.append({"asked": asked, "limit": limit, "speed_km_h": np.nan})
+        with suppress(ValueError):
             speed = largest_speed(setup, target, quantity=asked, limit=limit)
             found = scan_lattice(replace(setup, speed_m_s=speed), target)
-        except ValueError:
-            rows.append({"asked": asked, "limit": limit, "speed_km_h": np.nan})
-            continue
-        figures = {name: float(getattr(found, name)) for name in SHOWN_WITH_SPEED}
-        rows.append({"asked": asked, "limit": limit, "speed_km_h": 3.6 * speed} | figures)
+            figures = {name: float(getattr(found, name)) for name in SHOWN_WITH_SPEED}
+            rows[-1] |= {"speed_km_h": 3.6 * speed} | figures
     return pd.DataFrame(rows)
 
 
@@ -681,11 +668,7 @@ def propagate(
         ) from None
     low, high = np.quantile(drawn, (0.025, 0.975), axis=0)
     predicted = scan_lattice(setup, target).to_frame().iloc[0].to_numpy()
-    table = {
-        "quantity": list(LATTICE_QUANTITIES),
-        "predicted": predicted,
-        "std": drawn.std().to_numpy(),
-    }
+    table = {"quantity": LATTICE_QUANTITIES, "predicted": predicted, "std": drawn.std().to_numpy()}
     return pd.DataFrame({**table, "low": low, "high": high, "n": draws})
 
 
@@ -761,8 +744,7 @@ def _with_errors(setup, target, errors):
     """The lattice with errors added to the named inputs, at the spot of the nominal set-up."""
     changed = {name: getattr(setup, name) + errors[name] for name in errors if name in SETUP_NAMES}
     moved = {
-        field: getattr(target, field) + errors.get(name, 0.0)
-        for name, field in TARGET_NAMES.items()
+        own: getattr(target, own) + errors.get(name, 0.0) for name, own in TARGET_NAMES.items()
     }
     normal = -target_normal(moved.pop("heading_deg"), moved.pop("tilt_deg"))
     points = replace(target, **moved).patch(setup).points

@@ -21,12 +21,9 @@ from mmqa_lab.planes import TUKEY, fit_plane, sigma_mad
 from mmqa_lab.scan_pattern.mimic import LEVEL
 
 __all__ = [
-    "PatternMeasurement",
-    "measure_pattern",
-    "mirror_frequency",
-    "pulse_period",
+    "PatternMeasurement", "measure_pattern", "mirror_frequency", "pulse_period",
     "revolutions_from_time",
-]
+]  # fmt: skip
 
 PAUSE = 20  # longer pauses, in typical time steps, separate runs of points
 FEW_RUNS = 16  # number of runs whose beginnings are compared for the period

@@ -14,15 +14,8 @@ from mmqa_lab.mtf import fit_edge
 from mmqa_lab.simulate import cameras
 from mmqa_lab.studies.fitness import acquisitions
 
-__all__ = [
-    "GOOD",
-    "METHODS",
-    "PHOTOGRAPHS",
-    "TEXT_CHART",
-    "bench",
-    "misread_percent",
-    "photographed",
-]
+__all__ = ["GOOD", "METHODS", "PHOTOGRAPHS", "TEXT_CHART", "bench", "misread_percent"]
+__all__ += ["photographed"]
 
 PHOTOGRAPHS = {
     "pixel_mm": (1.5, 15), "spread_px": (0.3, 1.2), "motion_px": (0, 4), "white": (0.15, 0.9),

@@ -243,9 +243,8 @@ def replicas(results):
     second = rows["comparison"].str.contains("second")
     rows["kind"] = np.where(rows["name"].isin(FITTED) & ~second, "fitted", "predicted")
     published = results.sel({"method": "published"})
-    scenes = [
-        published.sel({"comparison": row.name})[f"{row.side}_olhd_m"] for row in rows.itertuples()
-    ]
+    cells = zip(rows["name"], rows["side"], strict=True)
+    scenes = [published.sel({"comparison": name})[f"{side}_olhd_m"] for name, side in cells]
     rows[["simulated_m", "low_m", "high_m"]] = [list(of_scenes(one).values()) for one in scenes]
     return rows
 

@@ -63,9 +63,9 @@ def surfaces(n, *, seed=1):
     the paper does not print them.
     """
     rng = np.random.default_rng(seed)
+    names = "range", "horizontal", "vertical"
     low, high = (
-        [number(SOURCE, f"{name}_{end}")["value"] for name in ("range", "horizontal", "vertical")]
-        for end in ("min", "max")
+        [number(SOURCE, f"{name}_{end}")["value"] for name in names] for end in ("min", "max")
     )
     rows = []
     while len(rows) < n:
@@ -91,8 +91,8 @@ def parts(case):
 def make(*, seed, range_noise_m=0.005, **case):
     """Return the simulated scan of a case, and its true spacings from rays cast on the wall."""
     setup, target = parts(case)
-    noise = {"range_noise_m": range_noise_m}
-    cloud, driven = simulate_patch(setup, target, size_m=1.0, seed=seed, **noise)
+    choices = {"size_m": 1.0, "seed": seed, "range_noise_m": range_noise_m}
+    cloud, driven = simulate_patch(setup, target, **choices)
     return Scan(driven, target, target.patch(setup).points, cloud), cast(driven, target)
 
 
@@ -208,7 +208,7 @@ def measured(scan):
     return _figures_of(vars(found)) | stds
 
 
-def clicked(scan, *, clicks=5):
+def clicked(scan):
     """Five distances at the points nearest the spot, their mean and scatter, as in the paper.
 
     Distances lead to the next point of the profile, and along the level line and the slope to the
@@ -217,7 +217,7 @@ def clicked(scan, *, clicks=5):
     found, line = scan_lattice(scan.setup, scan.target), scan.cloud["scan_line"]
     uv = (scan.cloud.points - scan.spot) @ found.axes.T
     rows = []
-    for i in np.argsort(np.hypot(*uv.T))[:clicks]:
+    for i in np.argsort(np.hypot(*uv.T))[:5]:
         here, beside = uv[line == line[i]], uv[line == line[i] + 1]
         ahead = here[(here - uv[i]) @ found.a > 0] - uv[i]
         point = np.hypot(*ahead.T).min(initial=np.inf)

@@ -8,18 +8,11 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab import bench as benches
-from mmqa_lab import io, published, samples
+from mmqa_lab import io, published, samples, test_field
 from mmqa_lab.boresight import calibrate, corrected
 from mmqa_lab.rotations import rotations
 from mmqa_lab.simulate import PRESETS, NavigationErrors, System, measured
 from mmqa_lab.simulate.test_field import drive_test_field, make_test_field
-from mmqa_lab.test_field import (
-    height_accuracy,
-    height_differences,
-    plan_accuracy,
-    plan_differences,
-    thinned,
-)
 
 __all__ = [
     "BORESIGHT_DEG", "DIRECTIONS", "LEVER_ARM_ERROR_M", "METHODS", "REAL", "SOURCE", "STANDS_FOR",
@@ -183,10 +176,8 @@ def _carried(known, places, time, assumed):
 def prediction_table(predictions):
     """Return median and 95 % range of the drawn drives, by system, direction and figure."""
     drawn = pd.concat([one.assign(system=name) for name, one in predictions.items()])
-    drawn, keys = (
-        drawn.rename(columns=lambda name: name.removesuffix("_mm")),
-        ["system", "direction"],
-    )
+    drawn = drawn.rename(columns=lambda name: name.removesuffix("_mm"))
+    keys = ["system", "direction"]
     values = drawn.melt(keys, var_name="figure").groupby([*keys, "figure"], sort=False)["value"]
     table = values.quantile([0.025, 0.5, 0.975]).unstack()
     return table.set_axis(["low_mm", "predicted_mm", "high_mm"], axis=1).reset_index()
@@ -304,13 +295,14 @@ def score(values, survey):
     error = np.abs(values - survey.true_values)
     known = {"lever_arms_m": survey.lever_arms_m, "values": values}
     clouds = [corrected(cloud, path, **known).points for cloud, path in survey.drives]
-    heights = height_differences(np.concatenate(clouds), survey.control, radius=0.5)
+    heights = test_field.height_differences(np.concatenate(clouds), survey.control, radius=0.5)
     # Each drive separately, as in the report: with a wrong mounting two drives show a pole twice.
-    poles = plan_accuracy(pd.concat([plan_differences(one, survey.poles) for one in clouds]))
+    found = [test_field.plan_differences(one, survey.poles) for one in clouds]
+    poles = test_field.plan_accuracy(pd.concat(found))
     return {
         "angle_deg": error[:, :3].max(),
         "arm_mm": 1000 * error[:, 3:].max(),
-        "height_std_mm": height_accuracy(heights)["std_mm"][1],
+        "height_std_mm": test_field.height_accuracy(heights)["std_mm"][1],
         "pole_rmse_mm": poles["rmse_mm"][1],
         "poles": poles["n"][1],
     }
@@ -398,6 +390,6 @@ def sweep_heights(*, spacing, radius=0.2):
     with warnings.catch_warnings(action="ignore"):  # beams without an echo
         one, other = (io.read_cloud(file, columns=()).points for file in files[:2])
     pose = np.loadtxt(files[2])
-    ground = thinned(one[one[:, 2] < GROUND_M], spacing)
+    ground = test_field.thinned(one[one[:, 2] < GROUND_M], spacing)
     moved = other @ pose[:3, :3].T + pose[:3, 3]
-    return height_accuracy(height_differences(moved, ground, radius=radius))
+    return test_field.height_accuracy(test_field.height_differences(moved, ground, radius=radius))
