@@ -227,6 +227,8 @@ FAULTS = (
     ("io", "diff() < -WEEK_S / 2", "diff() < -WEEK_S * 2", "test_io_kinds.py"),
     ("io", "in_radians < 15 < 45 < in_degrees", "False", "test_io_kinds.py"),
     ("io", "refuse(split, what,", "refuse(False, what,", "test_io_kinds.py"),
+    ("io", 'check_columns(table, ["heading_deg"]', "check_columns(table, []", "test_io_kinds.py"),
+    ("io", "counted or high or words.any()", "counted or high", "test_io_kinds.py"),
     ("io", "doubted = len(table) > 2 and (units or", "doubted = len(table) > 2 and (",
      "test_io_kinds.py"),
     ("io", "scale * heights + offset", "heights", "test_io_kinds.py"),
