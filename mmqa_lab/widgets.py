@@ -24,6 +24,7 @@ import shapely
 from IPython.display import HTML, Image, Javascript, display
 from matplotlib.colors import to_rgba_array
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import PlaceHolderLayoutEngine
 from matplotlib.widgets import PolygonSelector
 from numpy.typing import ArrayLike
 from scipy import ndimage
@@ -254,7 +255,9 @@ class SelectionTool:
         self.choices, self.quality, self._followers = choices, None, []
         self._detail, self._written = detail, ""
         self.text = ipywidgets.HTML()
-        self.figure = Figure(figsize=(8.4, 5.6), dpi=100, layout="none")
+        self.figure = Figure(
+            figsize=(8.4, 5.6), dpi=100, layout=PlaceHolderLayoutEngine(True, True)
+        )
         ratios = {"width_ratios": (1.8, 1), "height_ratios": (1, 1, 0.7)}
         axes = self.figure.subplot_mosaic("ab;ac;dd", **ratios, gridspec_kw=MARGINS)
         self._map, *self._panels = axes.values()
@@ -543,7 +546,8 @@ class SurfaceTool(SelectionTool):
             self._draw_scene()
         self.number, self.patch = plane, self._patches[cloud][plane]
         palette = to_rgba_array([*TINTS, "#DDDDDD", plots.COLOURS["vermilion"]])
-        place = np.where(self._owner < 0, -2, self._owner % len(TINTS))
+        place = 1 + (self._owner - 1) % (len(TINTS) - 1)  # the first tint is the largest plane's
+        place[self._owner == 0], place[self._owner < 0] = 0, -2
         place[self._owner == plane] = -1
         self._scene_dots.set_facecolor(palette[place])
         shown = [number for _, number in self._list.options]

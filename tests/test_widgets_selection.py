@@ -4,11 +4,12 @@ import io as streams
 import threading
 from contextlib import redirect_stdout
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from matplotlib.backend_bases import MouseEvent
 
-from mmqa_lab import widgets
+from mmqa_lab import plots, widgets
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.planes import fit_plane
 
@@ -36,6 +37,16 @@ def test_the_first_polygon_is_upright_and_nearly_the_whole_wall(wall):
     assert tool.quality.n == evaluate_cloud(wall, polygon=tool.vertices).n > 0.85 * len(wall)
     edges = np.diff(tool.vertices, axis=0)
     assert np.abs(np.prod(edges[:, [0, 2]], axis=1)).max() < 1e-3  # level or plumb
+
+
+def test_a_saved_picture_is_drawn_as_before(wall):
+    with plt.style.context(plots.STYLE):
+        tool = widgets.SelectionTool(wall)
+        first, second = streams.BytesIO(), streams.BytesIO()
+        tool.figure.savefig(first)  # what the button of the toolbar does
+        tool.select(tool.vertices)
+        tool.figure.savefig(second)
+    assert first.getvalue() == second.getvalue()
 
 
 def test_the_first_rectangle_follows_a_strip(rng):
@@ -245,3 +256,14 @@ def test_a_cloud_without_planes_costs_the_others_nothing(clouds, rng):
 def test_clouds_without_planes_are_refused(rng):
     with pytest.raises(ValueError, match="Invalid cloud noise, dust: no plane of 2 m"):
         widgets.SurfaceTool({name: rng.random((9, 3)) for name in ("noise", "dust")}, size=2)
+
+
+def test_no_other_plane_has_the_colour_of_the_largest(rng):
+    sizes = np.linspace(4, 2, 8)
+    steps = [rng.uniform(0, 1, (2000, 3)) * [e, e, 0] + [0, 6 * k, k] for k, e in enumerate(sizes)]
+    tool = widgets.SurfaceTool({"steps": np.concatenate(steps)}, size=1)
+    tool.choose("steps", 1)
+    colours = tool._scene_dots.get_facecolor()
+    assert len(tool.planes) == len(sizes)
+    same = (colours == colours[tool._owner == 0][0]).all(axis=1)
+    assert set(tool._owner[same]) == {0}

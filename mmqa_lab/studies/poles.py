@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from scipy.stats import binomtest, siegelslopes
 
 from mmqa_lab import io, poles, samples, stats
-from mmqa_lab.bench import Comparison, cell_table
+from mmqa_lab.bench import Comparison, cell_table, remarked
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.poles.common import joined
 from mmqa_lab.published import ledger
@@ -133,12 +133,14 @@ def rates(results):
         ``value``, ``low``, ``high``: 95 % intervals (Wilson; for F1 a bootstrap over streets, NaN
         for a single street).
     """
-    rows = []
-    for method, streets_of in cell_table(results).groupby("method", sort=False):
+    kinds = ("hits", "targets", *(f"{kind}_{of}" for kind in CLASSES for of in ("hits", "targets")))
+    counts = [f"{name}_{corridor:g}" for name in (*kinds, "finds") for corridor in CORRIDORS_M]
+    rows, cells = [], cell_table(results).reindex(columns=["method", *counts])
+    for method, streets_of in cells.groupby("method", sort=False):
         for corridor in CORRIDORS_M:
             first = {"method": method, "corridor_m": corridor}
             rows += [first | row for row in _pooled(streets_of, f"{corridor:g}")]
-    return pd.DataFrame(rows)
+    return remarked(pd.DataFrame(rows), results)
 
 
 def _pooled(cells, end):

@@ -118,12 +118,13 @@ def misfits(results):
     and ``misfit``, the root mean square difference in tolerances over all figures and distances.
     """
     models = benches.cell_table(results.mean("seed", keep_attrs=True))
-    models = models.rename(columns={"method": "model"})
+    models = models.reindex(columns=["method", "distance_m", *FIGURES])
     printed = table_2().query("system == 'C'").set_index("distance_m")[list(FIGURES)]
     goal = printed.loc[models["distance_m"]].to_numpy()
     square = in_tolerances(models[list(FIGURES)], goal, list(FIGURES)) ** 2
-    square = square.mean(axis=1).groupby(models["model"]).transform("mean")
-    return models[["model", "distance_m", *FIGURES]].assign(misfit=np.sqrt(square))
+    square = square.mean(axis=1).groupby(models["method"]).transform("mean")
+    table = benches.remarked(models.assign(misfit=np.sqrt(square)), results)
+    return table.rename(columns={"method": "model"})
 
 
 def in_tolerances(figures, printed, names):

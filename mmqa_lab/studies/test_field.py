@@ -365,7 +365,8 @@ def calibration_tables(results):
     """Return the mean of each figure by method and case."""
     by = ["method", "navigation", "reference_std_m"]
     groups = benches.cell_table(results).groupby(by, sort=False)
-    return {"calibrations": groups[list(benches.figure_names(results))].mean().reset_index()}
+    means = groups[list(benches.figure_names(results))].mean().reset_index()
+    return {"calibrations": benches.remarked(means, results)}
 
 
 def sweep_heights(*, spacing, radius=0.2):
