@@ -17,7 +17,9 @@ from scipy import ndimage
 from mmqa_lab.cloud import sort_into_cells
 from mmqa_lab.poles.common import drop_duplicates, first_reason, ground, lowest, pairs, table
 
-__all__ = ["MEASURES", "Trees", "describe", "detect", "grow", "lessons", "shipped", "write"]
+__all__ = [
+    "MEASURES", "Trees", "describe", "detect", "grow", "lessons", "own_frame", "shipped", "write",
+]  # fmt: skip
 
 VOXEL_M = 0.04
 PLACES = ((0, 0, 0, 0), (0.5, 0.5, 0.5, 22), (0.25, 0.75, 0.25, 45), (0.75, 0.25, 0.75, 67))
@@ -539,8 +541,8 @@ def own_frame(points):
     >>> origin.round(9).tolist(), np.abs(axes[:, 1]).round(3).tolist()
     ([3.0, 3.0, 5.0], [0.707, 0.707, 0.0])
     """
-    level = (points[:, 2] - np.median(points[:, 2])) % LOW_M
-    asked = level * max(len(points) // MOST_ASKED, 1) <= LOW_M
+    level = (points[:, 2] - np.median(points[:, 2])) % LEVEL_M
+    asked = level * max(len(points) // MOST_ASKED, 1) <= LEVEL_M
     plan, first = (points[asked, :2] - points[0, :2]) @ [1, 1j], points[0, :2]
     weight = np.ones(len(plan))
     for _ in range(30):
@@ -575,8 +577,9 @@ def describe(points, frame=None):
     return Described(axes, *measure(thin, axes), height_of, above, thin.coarse)
 
 
-PART, MOST_ASKED = 1_000_000, 200_000
-"""Points that are handled at a time while the ground is sought; about so many give the frame."""
+PART, MOST_ASKED, LEVEL_M = 1_000_000, 200_000, 0.01
+"""Points that are handled at a time while the ground is sought; about so many give the frame, those
+in the lowest part of each level."""
 
 
 def detect(points, *, threshold=THRESHOLD, trees=None, explain=False):
