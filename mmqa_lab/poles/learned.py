@@ -545,7 +545,7 @@ def own_frame(points):
     asked = level * max(len(points) // MOST_ASKED, 1) <= LEVEL_M
     plan, first = (points[asked, :2] - points[0, :2]) @ [1, 1j], points[0, :2]
     weight = np.ones(len(plan))
-    for _ in range(30):
+    for _ in range(10):
         centre = np.average(plan, weights=weight)
         away = np.abs(plan - centre)
         weight = (1 + (away / (2 * np.median(away) + LOW_M)) ** 2) ** -2.0
@@ -577,7 +577,7 @@ def describe(points, frame=None):
     return Described(axes, *measure(thin, axes), height_of, above, thin.coarse)
 
 
-PART, MOST_ASKED, LEVEL_M = 1_000_000, 200_000, 0.01
+PART, MOST_ASKED, LEVEL_M = 1_000_000, 50_000, 0.01
 """Points that are handled at a time while the ground is sought; about so many give the frame, those
 in the lowest part of each level."""
 
