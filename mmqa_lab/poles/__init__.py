@@ -78,9 +78,9 @@ def detect(
     Notes
     -----
     The score of ``learned`` is a probability above 0.7, and below it only an order. It was
-    calibrated on streets of two generators. On 12 streets of a third, with gates and wires, 3 of
-    the 15 finds below 0.7 were poles, 16 of the 18 up to 0.9 and all 124 above. On sparse real
-    streets low scores are poles more often. The score of ``fgi`` is the share of points in the
+    calibrated on streets of two generators. On 12 streets of a third, with gates and wires, 4 of
+    the 16 finds below 0.7 were poles, 16 of the 17 up to 0.9 and 123 of the 126 above. On sparse
+    real streets low scores are poles more often. The score of ``fgi`` is the share of points in the
     inner cylinder, that of ``itc`` the share of pole-like slices: an order, no probability.
 
     ``learned`` looks along the cloud's longest extent in plan (``learned.own_frame``), so a cloud

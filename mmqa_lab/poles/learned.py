@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 from scipy import ndimage
+from threadpoolctl import threadpool_limits
 
 from mmqa_lab.cloud import sort_into_cells
 from mmqa_lab.poles.common import drop_duplicates, first_reason, ground, lowest, pairs, table
@@ -582,6 +583,7 @@ PART, MOST_ASKED, LEVEL_M = 1_000_000, 50_000, 0.01
 in the lowest part of each level."""
 
 
+@threadpool_limits.wrap(limits=1)  # products with a small matrix, which threads make slow
 def detect(points, *, threshold=THRESHOLD, trees=None, explain=False):
     """Return the poles of points (n, 3) as :func:`mmqa_lab.poles.detect` does.
 
