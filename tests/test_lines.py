@@ -19,7 +19,7 @@ from mmqa_lab.lines import (
     pairing_scores,
     peak_threshold,
 )
-from mmqa_lab.lines.pairing import MATCHERS
+from mmqa_lab.lines.pairing import MATCHERS, _is_free
 
 LAMBERT_93 = np.array([651_234.56, 6_862_345.67, 35.0])
 
@@ -275,6 +275,21 @@ def test_few_common_lines_are_matched_rightly_or_refused_with_a_sentence():
             assert re.search("may be chance|nearly as well", found.remark)
             assert "remark" in found.to_frame()
     assert answered >= 4
+
+
+@pytest.mark.parametrize(("seed", "share"), [(30_001, 0.17), (30_004, 0.1), (30_006, 0.1)])
+def test_few_pairs_that_chance_can_give_are_no_answer(seed, share):
+    """Without the rule 8 of 37, 4 of 23 and 4 of 30 lines are paired, most of them wrongly."""
+    found = match_displaced(*window_rows.scene(seed, length=25.0, share=share)[:2])
+    assert found.n == 0
+    assert "may be chance" in found.remark
+
+
+def test_a_pair_without_a_common_stretch_is_free_only_where_nothing_is_taken():
+    stretches = np.array([[0.0, 1.0], [1.2, 1.2]])
+    order, before = np.array([0]), np.array([-1])
+    assert _is_free(stretches, 1, -1, order, before)
+    assert not _is_free(stretches, 1, 0, order, before)
 
 
 def test_reasons_for_no_displacement_are_said():
