@@ -16,6 +16,7 @@ Each room is a module named by a noun of the field. Import the room that you nee
 - ``scan_pattern``: profile scanners: spacing, angle and density, predicted (MIMIC) and measured
 - ``charts``: the test charts, to print and to measure
 - ``samples``: the clouds that come with the package, and larger public ones
+- ``metrics``: the metrics of the field for a planar surface, each with its source
 - ``chart_cloud``: the figures of one planar surface: density, sigma_MAD, d1..d4, f, g, intervals
 - ``test_field``: errors of heights and positions on a test field, and their growth with distance
 - ``lines``: edges of clouds, line-segment Hausdorff distance, displacement between line sets
@@ -40,4 +41,4 @@ Each room is a module named by a noun of the field. Import the room that you nee
 
 __all__ = ["__version__"]
 
-__version__ = "0.4.0"
+__version__ = "0.5.0"
