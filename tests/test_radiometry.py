@@ -14,8 +14,8 @@ from mmqa_lab.radiometry import (
     ndvi,
     patch_statistics,
     reflectance_factor,
-    walthall_terms,
 )
+from mmqa_lab.radiometry.anisotropy import walthall_terms
 from mmqa_lab.simulate.targets import ATMOSPHERES, PointSpread, render_edge
 
 

@@ -9,7 +9,8 @@ from mmqa_lab._results import Shown, about
 from mmqa_lab.boresight import Calibration
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.lines import lhd
-from mmqa_lab.mtf import StarMtf, fit_edge, spread_edge
+from mmqa_lab.mtf import StarMtf, fit_edge
+from mmqa_lab.mtf.transfer import spread_edge
 from mmqa_lab.planes import fit_circle, fit_plane
 from mmqa_lab.poles import score
 from mmqa_lab.radiometry import fit_sensor

@@ -24,7 +24,7 @@ from scipy.optimize import brentq
 from scipy.spatial import cKDTree
 
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
-from mmqa_lab.mtf import LENS_TRANSFERS, lens_mtf
+from mmqa_lab.mtf.transfer import LENS_TRANSFERS, lens_mtf
 
 __all__ = [
     "ATMOSPHERES", "FINE", "FLIGHT_LENGTH_M", "SURFACES", "Atmosphere", "Flight", "ImageBlock",

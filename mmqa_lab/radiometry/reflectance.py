@@ -1,0 +1,222 @@
+"""Reflectance from radiance or from digital numbers, and the vegetation index."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mmqa_lab._checks import check_number, check_positive, refuse
+from mmqa_lab._results import Shown
+
+__all__ = ["EmpiricalLine", "empirical_line", "ndvi", "reflectance_factor"]
+__dir__ = __all__.copy
+
+
+@dataclass(frozen=True, eq=False)
+class EmpiricalLine(Shown):
+    """Reflectance as a straight line of DN: reflectance = slope * DN + intercept.
+
+    Parameters
+    ----------
+    slope, intercept : float
+        Reflectance per DN, reflectance.
+    covariance : array, shape (2, 2)
+        Of (slope, intercept); NaN from two targets without known uncertainty.
+    residuals : array, shape (n,)
+        Known minus computed reflectance of the targets.
+
+    Examples
+    --------
+    >>> line = empirical_line([100, 500], [0.05, 0.45])
+    >>> round(float(line.reflectance(300)), 6), line.n
+    (0.25, 2)
+    """
+
+    slope: float
+    intercept: float
+    covariance: np.ndarray
+    residuals: np.ndarray
+
+    @property
+    def n(self) -> int:
+        """Number of targets."""
+        return len(self.residuals)
+
+    @property
+    def remark(self) -> str:
+        """Reason to doubt the standard deviations; empty if there is none."""
+        return "two references cannot check each other" if self.n == 2 else ""
+
+    def reflectance(self, dn: ArrayLike, *, anisotropy: ArrayLike = 1.0) -> np.ndarray:
+        """Nadir reflectance of DN seen where the surface reflects ``anisotropy`` times as much."""
+        return np.divide(self.slope * np.asarray(dn, np.float64) + self.intercept, anisotropy)
+
+    def std(self, dn: ArrayLike, *, std_dn: ArrayLike = 0.0) -> np.ndarray:
+        """Standard deviation of the reflectance: that of the line, and that of the DN."""
+        dn = np.asarray(dn, dtype=np.float64)
+        terms = np.stack([dn, np.ones_like(dn)], axis=-1)
+        line = np.einsum("...i,ij,...j", terms, self.covariance, terms)
+        return np.sqrt(line + (self.slope * np.asarray(std_dn)) ** 2)
+
+
+def reflectance_factor(
+    radiance: ArrayLike,
+    irradiance: float,
+    *,
+    path_radiance: float = 0.0,
+    transmittance: float = 1.0,
+    spherical_albedo: float = 0.0,
+    surroundings: float = 0.0,
+) -> float | np.ndarray:
+    """Return the reflectance of a target by equation 4.
+
+    rho = pi (L - L_atm) (1 - s rho') / (E tau). In the notation of the report E is S tau_s: the
+    irradiance of the sun above the air times the cosine of its zenith angle, times the
+    transmittance on its way down.
+
+    Parameters
+    ----------
+    radiance : array_like
+        At the sensor, W m-2 sr-1 um-1.
+    irradiance : float
+        On level ground, W m-2 um-1, without the light that ground and air throw back and forth.
+    path_radiance : float
+        All light from elsewhere that the air adds between ground and sensor, unit of the radiance.
+    transmittance : float
+        Of the air between ground and sensor, 0 to 1.
+    spherical_albedo : float
+        s, the share of the light from the ground that the air sends back, 0 to 1.
+    surroundings : float
+        rho', mean reflectance around the target, 0 to 1.
+
+    Returns
+    -------
+    float or array
+
+    Raises
+    ------
+    ValueError
+        If the irradiance is not above zero or a share is outside 0 to 1.
+
+    Notes
+    -----
+    With ``spherical_albedo`` left at 0 the factor (1 - s rho') is 1. That is right only for an
+    irradiance measured on site, which contains the light thrown back.
+
+    References
+    ----------
+    EuroSDR 2013, image radiometry, equation 4.
+
+    Examples
+    --------
+    >>> round(float(reflectance_factor(100.0, 1500.0, path_radiance=10.0, transmittance=0.9)), 3)
+    0.209
+    >>> air = {"path_radiance": 10.0, "transmittance": 0.9, "spherical_albedo": 0.1}
+    >>> round(float(reflectance_factor(100.0, 1500.0, surroundings=0.2, **air)), 3)
+    0.205
+    """
+    irradiance = check_positive(irradiance, "irradiance", unit="W m-2 um-1")
+    tau = check_number(transmittance, "transmittance", low=0.001, high=1)
+    s = check_number(spherical_albedo, "spherical_albedo", low=0, high=1)
+    around = check_number(surroundings, "surroundings", low=0, high=1)
+    of_ground = np.asarray(radiance, np.float64) - path_radiance
+    return np.pi * of_ground * (1 - s * around) / (tau * irradiance)
+
+
+def empirical_line(
+    dn: ArrayLike,
+    reflectance: ArrayLike,
+    *,
+    std_dn: ArrayLike | None = None,
+    anisotropy: ArrayLike = 1.0,
+) -> EmpiricalLine:
+    """Fit reflectance as a line of DN through targets of known reflectance.
+
+    Parameters
+    ----------
+    dn : array_like, shape (n,)
+        Mean DN of the targets, n >= 2.
+    reflectance : array_like, shape (n,)
+        Known reflectance at nadir.
+    std_dn : float or array_like, shape (n,), optional
+        Standard error of each mean DN. Where given, targets weigh by its inverse square, and the
+        covariance follows from it; where not, it follows from the residuals (n >= 3).
+    anisotropy : float or array_like, shape (n,)
+        Anisotropy factor of each target as the camera saw it: a target that reflects 5 %
+        more that way than at nadir has 1.05.
+
+    Returns
+    -------
+    EmpiricalLine
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two targets or all have the same DN, a reflectance is not between 0
+        and 1, or reflectance does not grow with DN.
+
+    Notes
+    -----
+    With two targets the line passes through both: their errors are not seen (``remark``), and
+    reflectance beyond the brighter one is extrapolated.
+
+    Examples
+    --------
+    >>> line = empirical_line([200, 1000, 1800], [0.05, 0.25, 0.45])
+    >>> round(float(line.reflectance(600)), 3)
+    0.15
+    """
+    dn = np.asarray(dn, dtype=np.float64)
+    known = np.broadcast_to(np.multiply(reflectance, anisotropy), dn.shape)
+    few = dn.ndim != 1 or len(dn) < 2 or not np.isfinite([dn, known]).all() or np.ptp(dn) == 0
+    refuse(few, "targets", f"{dn.size} given", "two or more of different, finite DN")
+    for share in np.ravel(reflectance).tolist():
+        check_number(share, "reflectance", low=0, high=1)
+    slope = np.polyfit(dn, known, 1)[0]
+    if not slope * np.ptp(dn) > 1e-9:
+        raise ValueError("Invalid targets: brighter ones do not have a larger DN. Must have.")
+    std = np.ones_like(dn) if std_dn is None else slope * np.asarray(std_dn)
+    if (std <= 0).any():
+        raise ValueError("Invalid standard errors. Must be > 0 DN.")
+    weight = np.broadcast_to(1 / std, dn.shape)
+    line, covariance = np.polyfit(dn, known, 1, w=weight, cov="unscaled")
+    left = known - np.polyval(line, dn)
+    if std_dn is None:
+        covariance = covariance * (left @ left / (len(dn) - 2) if len(dn) > 2 else np.nan)
+    slope, intercept = map(float, line)
+    return EmpiricalLine(slope, intercept, covariance, left)
+
+
+def ndvi(
+    near_infrared: ArrayLike,
+    red: ArrayLike,
+    *,
+    std_near_infrared: ArrayLike = 0.0,
+    std_red: ArrayLike = 0.0,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return NDVI = (N - R) / (N + R) and its standard deviation.
+
+    Parameters
+    ----------
+    near_infrared, red : array_like
+        Reflectances, not DN: the index of DN depends on both bands' gains.
+    std_near_infrared, std_red : array_like
+        Their standard deviations. Errors that both bands share, as of the light, nearly cancel.
+
+    Returns
+    -------
+    ndvi, std : array
+        First-order propagation of independent errors.
+
+    Examples
+    --------
+    >>> value, std = ndvi(0.45, 0.05, std_near_infrared=0.0225, std_red=0.0025)
+    >>> round(float(value), 3), round(float(std), 4)
+    (0.8, 0.0127)
+    """
+    n, r = np.asarray(near_infrared, np.float64), np.asarray(red, np.float64)
+    total = n + r
+    errors = np.hypot(np.multiply(r, std_near_infrared), np.multiply(n, std_red))
+    return (n - r) / total, 2 * errors / total**2
