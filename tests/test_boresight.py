@@ -4,7 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from mmqa_lab.boresight import _OnPlanes, _OnPoles, _Shots, calibrate, corrected
+from mmqa_lab.boresight import calibrate, corrected
+from mmqa_lab.boresight.misfits import OnPlanes, OnPoles
+from mmqa_lab.boresight.shots import Shots
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.simulate import straight
 from mmqa_lab.simulate.test_field import make_test_field
@@ -51,19 +53,19 @@ def test_correction_takes_points_to_their_surfaces(found, street, survey):
     assert np.sqrt(np.mean(after**2)) < 0.006 < np.sqrt(np.mean(before**2))
 
 
-@pytest.mark.parametrize("kind", [_OnPlanes, _OnPoles])
+@pytest.mark.parametrize("kind", [OnPlanes, OnPoles])
 def test_slopes_are_those_of_the_misfits(kind, rng):
     """Central differences, points of a slope or a pole, seen from vehicles turned at random."""
     xy, known = rng.uniform(-0.4, 0.4, (60, 2)), None
     points = np.column_stack([xy, 0.1 * xy[:, 0]])
-    if kind is _OnPoles:
+    if kind is OnPoles:
         angle = rng.uniform(-np.pi, np.pi, 60)
         known = np.column_stack([np.cos(angle), np.sin(angle)]), 0.05
         points = np.column_stack([0.05 * known[0], rng.uniform(0, 4, 60)])
     turns, place = np.linalg.qr(rng.normal(size=(60, 3, 3)))[0], rng.normal(0, 3, (60, 3))
     arm = np.tile([0.4, -0.6, 0.3], (60, 1))
     beam = np.einsum("nij,ni->nj", turns, points - place) - arm
-    shots = _Shots(np.zeros(60, int), np.arange(60) % 2, place, turns, arm, beam)
+    shots = Shots(np.zeros(60, int), np.arange(60) % 2, place, turns, arm, beam)
     on = kind(shots, [(np.arange(60), known)])
     slopes = on.rows(np.zeros((1, 6)))[1]
     for k, step in enumerate(1e-5 * np.eye(6)):
@@ -80,8 +82,8 @@ def test_poles_whose_arcs_have_passed_each_other_are_brought_together():
     points = np.column_stack([0.03 * ways, np.tile(height, 2)])
     points[:, 0] += np.repeat([0.05, -0.05], 41)
     still = np.zeros((82, 3)), np.broadcast_to(np.eye(3), (82, 3, 3))
-    shots = _Shots(np.zeros(82, int), np.zeros(82, int), *still, np.zeros((82, 3)), points)
-    misfit = _OnPoles(shots, [(np.arange(82), (ways, 0.03))]).rows(np.zeros((1, 6)))[0]
+    shots = Shots(np.zeros(82, int), np.zeros(82, int), *still, np.zeros((82, 3)), points)
+    misfit = OnPoles(shots, [(np.arange(82), (ways, 0.03))]).rows(np.zeros((1, 6)))[0]
     assert misfit[[20, 61]] == pytest.approx(-0.05, abs=0.01)  # both lie behind their side
 
 

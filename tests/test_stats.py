@@ -10,6 +10,7 @@ from statsmodels.stats.proportion import proportion_confint
 from statsmodels.stats.weightstats import DescrStatsW
 
 from mmqa_lab import stats
+from mmqa_lab.stats import neighbours
 
 
 @given(st.integers(1, 500).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
@@ -58,12 +59,12 @@ def test_reach_of_a_mean_is_students_of_independent_values_and_wider_of_dependen
 
 def test_slow_waves_are_blind_to_trends_and_bowls_but_to_no_place():
     """An error of the few lines in the middle, which decide a median, counts like any other."""
-    place = np.linspace(-1, 1, stats.WAVE_PARTS)
-    np.testing.assert_allclose(stats.COSINES @ np.vander(place, 3), 0, atol=1e-9)
-    np.testing.assert_allclose((stats.COSINES**2).mean(axis=1), 1)
-    seen = (stats.COSINES**2).mean(axis=0)
+    place = np.linspace(-1, 1, neighbours.WAVE_PARTS)
+    np.testing.assert_allclose(neighbours.COSINES @ np.vander(place, 3), 0, atol=1e-9)
+    np.testing.assert_allclose((neighbours.COSINES**2).mean(axis=1), 1)
+    seen = (neighbours.COSINES**2).mean(axis=0)
     assert seen.min() > 0.3
-    assert seen[stats.WAVE_PARTS // 4 : -stats.WAVE_PARTS // 4].max() < 2
+    assert seen[neighbours.WAVE_PARTS // 4 : -neighbours.WAVE_PARTS // 4].max() < 2
 
 
 @settings(max_examples=40, deadline=None)
@@ -74,6 +75,6 @@ def test_parts_hold_equal_numbers_and_follow_the_order_of_places(n, seed, digits
     for parts, places in zip(stats.order_parts(xy, 0), (xy[:, 1], xy[:, 0]), strict=True):
         order = np.argsort(places, kind="stable")
         assert (np.diff(parts[order]) >= 0).all()
-        assert set(parts) <= set(range(stats.WAVE_PARTS))
+        assert set(parts) <= set(range(neighbours.WAVE_PARTS))
         alike = np.unique(places, return_counts=True)[1].max()
-        assert np.bincount(parts).max() <= n / stats.WAVE_PARTS + alike + 1
+        assert np.bincount(parts).max() <= n / neighbours.WAVE_PARTS + alike + 1

@@ -9,114 +9,42 @@ and so is every displacement. ``canyon_cloud`` covers the faces of the houses wi
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from itertools import chain, pairwise
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import check_number, check_positive
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.lines import lengths
-from mmqa_lab.simulate.trajectories import gauss_markov
+from mmqa_lab.simulate.canyon_houses import (
+    house_edges,
+    house_faces,
+    house_outline,
+    houses,
+    located,
+    side_face,
+)
+from mmqa_lab.simulate.canyon_surveys import (
+    CENTRE_M,
+    SHARED_BIAS_M,
+    Positioning,
+    Survey,
+    positionings,
+    seen,
+    survey,
+)
 
 __all__ = [
     "CENTRE_M", "COMPARISONS", "Canyon", "Positioning", "Survey", "canyon", "canyon_cloud",
     "canyon_edges", "canyon_faces",
 ]  # fmt: skip
 
+
 COMPARISONS = {
     "repeatability": (("C1", "C2"), ("C1", "C3"), ("C2", "C3")),
     "absolute": (("C1", "TLS"), ("C2", "TLS"), ("C3", "TLS")),
 }
 """Test and model of each comparison, as in Tables 1 and 2 of the paper."""
-
-CENTRE_M = np.array([65.0, 60.0, 0.0])
-STREETS = pd.DataFrame(
-    [("x", 0.0, 15.0, 130.0, 14.0), ("x", 0.0, 95.0, 130.0, 9.0), ("y", 85.0, 24.0, 65.0, 8.0)],
-    columns=["axis", "x_m", "y_m", "length_m", "width_m"],
-)
-SETBACKS_M = (0.0, 0.25, 0.4, 0.7, 1.2)
-EDGE_SHARES = (0.33, 0.33, 0.15, 0.57, 0.57)
-"""Share of the buildings where foot, eave, cornice and both corners are straight lines that a
-detector can find."""
-
-SHARED_COURSE, SHARED_SEEN = 0.39, 0.84
-"""Share of the edges along the way of C1 and C3, and what each of the two finds of them."""
-
-SEEN = {"C2": 0.265, "TLS": 0.57}
-DRIFT_LENGTH_M = 60.0
-DRIFT_STEP_M = 5.0
-YAW_DEG = 0.05
-POSITION_NOISE_M = {"C1": 0.04, "C2": 0.04, "C3": 0.04, "TLS": 0.03}
-ANGLE_FROM_POSITION_M = 0.02
-
-SHARED_BIAS_M = (0.62, 0.82)
-"""Range of the length of the displacement that all courses share (GNSS)."""
-
-OWN_BIAS_M, COURSE2_M = 0.09, 0.45
-"""Length of each course's own displacement, and what Course 2 has beyond the others along the
-shared one: the paper finds the worst repeatability with it and names poor GNSS as the cause."""
-
-DRIFT_M, END_NOISE_M = 0.08, 0.22
-"""Standard deviations of each course's drift per street and axis, and of ends along their edge."""
-
-TWINS, SPLITS, TRUNCATIONS, CLUTTER, JAMBS = 0.15, 0.12, 0.35, 0.08, 0.2
-"""Share of edges with a parallel neighbour (reveals, kerbs, cornices); shares of segments found in
-two pieces, cut short, and without any counterpart; mean number of window jambs per building."""
-
-
-@dataclass(frozen=True, eq=False)
-class Positioning:
-    """Error of a course's positions: constant, drifting along each street, and turned.
-
-    Parameters
-    ----------
-    bias : array, shape (3,)
-        Metres.
-    drift : array, shape (streets, nodes, 3)
-        Metres, a node every 5 m along the street.
-    yaw : float
-        Radians, about the centre of the scene.
-    """
-
-    bias: np.ndarray
-    drift: np.ndarray
-    yaw: float
-
-    def at(self, points: np.ndarray, street: np.ndarray) -> np.ndarray:
-        """Displacement of points (n, 3) of the given streets (n,), shape (n, 3), m."""
-        points, street = np.asarray(points, dtype=np.float64), np.asarray(street)
-        station = _station(points, street) / DRIFT_STEP_M
-        node = np.clip(station.astype(int), 0, self.drift.shape[1] - 2)
-        part = np.clip(station - node, 0, 1)[:, None]
-        drift = (1 - part) * self.drift[street, node] + part * self.drift[street, node + 1]
-        arm = points - CENTRE_M
-        turned = self.yaw * np.stack([-arm[:, 1], arm[:, 0], np.zeros(len(arm))], axis=1)
-        return self.bias + drift + turned
-
-
-@dataclass(frozen=True, eq=False)
-class Survey:
-    """The segments that one survey found, and where they come from.
-
-    Parameters
-    ----------
-    segments : array, shape (n, 2, 3)
-        Metres.
-    edge : array of int, shape (n,)
-        The true edge of each; -1 for clutter.
-    interval : array, shape (n, 2)
-        The part of the true edge that it shows, m from the edge's first end; NaN for clutter.
-    displacement : array, shape (n, 3)
-        The positioning error at its midpoint, m.
-    positioning : Positioning
-    """
-
-    segments: np.ndarray
-    edge: np.ndarray
-    interval: np.ndarray
-    displacement: np.ndarray
-    positioning: Positioning
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,13 +139,13 @@ def canyon(
     shared = SHARED_BIAS_M if displacement_m is None else (displacement_m, displacement_m)
     check_number(shared[0], "displacement_m", low=0, unit="m")
     rng = np.random.default_rng(seed)
-    buildings = _buildings(rng)
-    ends, street = _edges(buildings, rng)
-    seen = _seen(len(ends), rng)
+    buildings = houses(rng)
+    ends, street = house_edges(buildings, rng)
+    found = seen(len(ends), rng)
     surveys = {}
-    for name, positioning in _positionings(shared, rng).items():
-        rows = np.flatnonzero(seen[name])
-        surveys[name] = _survey(name, ends, street, rows, positioning, angle_noise_deg, rng)
+    for name, positioning in positionings(shared, rng).items():
+        rows = np.flatnonzero(found[name])
+        surveys[name] = survey(name, ends, street, rows, positioning, angle_noise_deg, rng)
     return Canyon(buildings, ends, street, surveys)
 
 
@@ -237,12 +165,12 @@ def canyon_faces(scene: Canyon) -> tuple[np.ndarray, np.ndarray]:
     places, streets = [], []
     for (street, _), row in scene.buildings.groupby(["street", "side"]):
         houses = list(row.itertuples())
-        faces = [face for house in houses for face in _house_faces(house)]
-        faces += [_side_face(a, b) for a, b in pairwise([None, *houses, None])]
+        faces = [face for house in houses for face in house_faces(house)]
+        faces += [side_face(a, b) for a, b in pairwise([None, *houses, None])]
         places += faces
         streets += [street] * len(faces)
     streets = np.array(streets)
-    return _located(streets, np.array(places)), streets
+    return located(streets, np.array(places)), streets
 
 
 def canyon_edges(scene: Canyon) -> np.ndarray:
@@ -254,9 +182,9 @@ def canyon_edges(scene: Canyon) -> np.ndarray:
         Metres; in the order of the buildings, four each: foot, eave, corner at the start, corner at
         the end.
     """
-    lines = np.array([_outline(house) for house in scene.buildings.itertuples()])
+    lines = np.array([house_outline(house) for house in scene.buildings.itertuples()])
     streets = np.repeat(scene.buildings["street"].to_numpy(), lines.shape[1])
-    return _located(streets, lines.reshape(-1, 2, 3))
+    return located(streets, lines.reshape(-1, 2, 3))
 
 
 def canyon_cloud(
@@ -309,192 +237,3 @@ def canyon_cloud(
     points += positioning.at(points, street)
     points += rng.normal(0, noise, points.shape)
     return Cloud(points, {"face": face, "street": street}, f"canyon {survey}")
-
-
-def _buildings(rng):
-    """Facades side by side along both sides of each street, no two neighbours flush."""
-    rows = []
-    for street, length in enumerate(STREETS["length_m"]):
-        for side in (-1, 1):
-            start, setback = rng.uniform(0, 5), None
-            while start < length - 9:
-                width, height = min(rng.uniform(9, 22), length - start), rng.uniform(12, 21)
-                setback = rng.choice([value for value in SETBACKS_M if value != setback])
-                rows.append((street, side, start, width, setback, height))
-                start += width
-    columns = ["street", "side", "start_m", "width_m", "setback_m", "height_m"]
-    return pd.DataFrame(rows, columns=columns)
-
-
-def _edges(buildings, rng):
-    """End points (n, 2, 3) of the true edges and the street of each."""
-    lines = [_building_edges(house, rng) for house in buildings.itertuples()]
-    streets = np.repeat(buildings["street"].to_numpy(), [len(edges) for edges in lines])
-    ends = _located(streets, np.array(list(chain(*lines))))
-    twin = rng.random(len(ends)) < TWINS
-    return np.concatenate([ends, _twins(ends[twin], rng)]), np.concatenate([streets, streets[twin]])
-
-
-def _building_edges(house, rng):
-    """The edges of a facade that a detector can find, as ``_outline`` gives them."""
-    left, right, top, offset = _extent(house)
-    level = rng.uniform(3.5, 4.5)
-    lines = _outline(house)
-    lines.insert(2, ((left, offset, level), (right, offset, level)))
-    lines = [line for line, share in zip(lines, EDGE_SHARES, strict=True) if rng.random() < share]
-    for _ in range(rng.poisson(JAMBS)):
-        station, sill = rng.uniform(left + 1, right - 1), rng.uniform(1, top - 4)
-        head = sill + rng.uniform(1.5, 2.5)
-        lines.append(((station, offset, sill), (station, offset, head)))
-    return lines
-
-
-def _outline(house):
-    """Foot, eave and both corners of a facade, as (station, offset, height) of both ends."""
-    left, right, top, offset = _extent(house)
-    low = (left, offset, 0.0), (right, offset, 0.0)
-    high = (left, offset, top), (right, offset, top)
-    return [low, high, *zip(low, high, strict=True)]
-
-
-def _extent(house):
-    """First and last station of a facade, its height, and its signed offset from the axis, m."""
-    offset = house.side * (STREETS["width_m"][house.street] / 2 + house.setback_m)
-    return house.start_m, house.start_m + house.width_m, house.height_m, offset
-
-
-def _located(street, places):
-    """Coordinates of places (n, m, 3): station along a street (n,), offset from it, height."""
-    turned = (STREETS["axis"] == "y").to_numpy()[street, None, None]
-    origin = STREETS[["x_m", "y_m"]].assign(z_m=0.0).to_numpy()[street, None]
-    return origin + np.where(turned, places[..., [1, 0, 2]], places)
-
-
-def _station(points, street):
-    """Metres along the street of points (n, 3) of the streets (n,)."""
-    along_x = (STREETS["axis"] == "x").to_numpy()[street]
-    origin = STREETS[["x_m", "y_m"]].to_numpy()[street]
-    return np.where(along_x, points[:, 0] - origin[:, 0], points[:, 1] - origin[:, 1])
-
-
-def _twins(ends, rng):
-    """Parallel neighbours 0.3-1.1 m off the given edges."""
-    vectors = ends[:, 1] - ends[:, 0]
-    across = np.cross(vectors, rng.normal(size=vectors.shape))
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
-    return ends + (across * rng.uniform(0.3, 1.1, (len(ends), 1)))[:, None]
-
-
-def _seen(n, rng):
-    """Which edges each survey finds; prominent edges are found by all of them more often."""
-    prominence = rng.uniform(0.25, 1.75, n)
-    shared = rng.random(n) < SHARED_COURSE * prominence
-    seen = {name: shared & (rng.random(n) < SHARED_SEEN) for name in ("C1", "C3")}
-    return seen | {name: rng.random(n) < share * prominence for name, share in SEEN.items()}
-
-
-def _positionings(shared_m, rng):
-    """The positioning error of each course; the static scanner has none."""
-    nodes = int(STREETS["length_m"].max() / DRIFT_STEP_M) + 2
-    length, towards = rng.uniform(*shared_m), _unit_vector(rng)
-    errors = {}
-    for name in ("C1", "C2", "C3"):
-        shared = length + (COURSE2_M if name == "C2" else 0.0)
-        own = OWN_BIAS_M * _unit_vector(rng)
-        shape = len(STREETS), nodes, 3
-        drift = DRIFT_M * gauss_markov(shape, DRIFT_STEP_M, DRIFT_LENGTH_M, rng, axis=1)
-        turned = np.radians(rng.normal(0, YAW_DEG))
-        errors[name] = Positioning(shared * towards + own, drift, turned)
-    still = np.zeros((len(STREETS), nodes, 3))
-    return errors | {"TLS": Positioning(np.zeros(3), still, 0.0)}
-
-
-def _unit_vector(rng):
-    vector = rng.normal(size=3)
-    return vector / np.linalg.norm(vector)
-
-
-def _survey(name, ends, street, rows, positioning, angle_noise_deg, rng):
-    """What a survey makes of the edges ``rows``: pieces of them, displaced and noisy."""
-    vectors, sizes = ends[:, 1] - ends[:, 0], lengths(ends)
-    pieces = [(row, *cut) for row in rows for cut in _pieces(sizes[row], rng)]
-    edge = np.array([piece[0] for piece in pieces], dtype=int)
-    interval = np.array([piece[1:] for piece in pieces], dtype=float).reshape(-1, 2)
-    share = (interval / sizes[edge, None])[..., None]
-    found = ends[edge, :1] + share * vectors[edge, None]
-    found = np.concatenate([found, _clutter(rng.binomial(len(edge), CLUTTER), rng)])
-    strays = len(found) - len(edge)
-    streets = np.concatenate([street[edge], rng.integers(len(STREETS), size=strays)])
-    displacement = positioning.at(found.mean(axis=1), streets)
-    angle = angle_noise_deg * (0.25 if name == "TLS" else 1.0)
-    found = _noisy(found, angle, POSITION_NOISE_M[name], rng) + displacement[:, None]
-    flip = rng.random(len(found)) < 0.5
-    found[flip] = found[flip, ::-1]
-    order = rng.permutation(len(found))
-    edge = np.concatenate([edge, np.full(strays, -1)])
-    interval = np.concatenate([interval, np.full((strays, 2), np.nan)])
-    return Survey(found[order], edge[order], interval[order], displacement[order], positioning)
-
-
-def _pieces(length, rng):
-    """Intervals along an edge that a survey finds: whole, cut short, or in two."""
-    low, high = 0.0, length
-    if rng.random() < TRUNCATIONS:
-        size = length * rng.uniform(0.4, 0.9)
-        low = rng.uniform(0, length - size)
-        high = low + size
-    if rng.random() >= SPLITS or high - low < 3:
-        return [(low, high)]
-    middle = low + (high - low) * rng.uniform(0.3, 0.7)
-    gap = rng.uniform(0.1, 0.5)
-    return [(low, middle - gap), (middle + gap, high)]
-
-
-def _clutter(n, rng):
-    """Segments of things that no other survey shows: mostly level or upright, anywhere."""
-    middle = rng.uniform([0, 0, 0], [130, 120, 12], (n, 3))
-    axes = np.eye(3)[rng.integers(3, size=n)]
-    free = rng.random(n) < 0.25
-    axes[free] = rng.normal(size=(free.sum(), 3))
-    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    half = rng.uniform(0.75, 5, (n, 1)) * axes
-    return np.stack([middle - half, middle + half], axis=1)
-
-
-def _noisy(ends, angle_deg, position, rng):
-    """Segments with their ends moved along, directions turned and places shifted at random."""
-    vectors = ends[:, 1] - ends[:, 0]
-    sizes = lengths(ends)
-    unit = vectors / sizes[:, None]
-    sigma = np.hypot(np.radians(angle_deg), ANGLE_FROM_POSITION_M / sizes)
-    tilt = rng.normal(size=unit.shape)
-    tilt -= (tilt * unit).sum(axis=1, keepdims=True) * unit
-    turned = unit + tilt * (sigma / np.sqrt(2))[:, None]
-    turned /= np.linalg.norm(turned, axis=1, keepdims=True)
-    half = sizes[:, None] / 2 + rng.normal(0, END_NOISE_M, (len(ends), 2)) * [-1, 1]
-    half = np.maximum(half, 0.25)
-    middle = ends.mean(axis=1) + rng.normal(0, position, unit.shape)
-    return np.stack([middle - half[:, :1] * turned, middle + half[:, 1:] * turned], axis=1)
-
-
-def _house_faces(house):
-    """Front, pavement and soffit (0.6 m) of a house: a corner and the ends of both sides each."""
-    left, right, top, offset = _extent(house)
-    eave = offset - house.side * 0.6
-    front = (left, offset, 0), (right, offset, 0), (left, offset, top)
-    pavement = (left, 0, 0), (right, 0, 0), (left, offset, 0)
-    soffit = (left, offset, top), (right, offset, top), (left, eave, top)
-    return [front, pavement, soffit]
-
-
-def _side_face(a, b):
-    """The wall between neighbours of different setback, or 3 m of gable at the end of a row."""
-    if a is None or b is None:
-        house = b if a is None else a
-        left, right, top, near = _extent(house)
-        station, far = left if a is None else right, near + house.side * 3.0
-    else:
-        station = b.start_m
-        near, far = sorted((_extent(house)[3] for house in (a, b)), key=abs)
-        top = a.height_m if near == _extent(a)[3] else b.height_m
-    return (station, near, 0), (station, far, 0), (station, near, top)

@@ -7,78 +7,27 @@ of a thousand leaves). ``Scene`` puts surfaces side by side and casts rays. Leng
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_count, check_number, check_points, check_positive
-from mmqa_lab.rotations import across
+from mmqa_lab._checks import check_count, check_number, check_positive
+from mmqa_lab.simulate.primitives import (
+    DISC,
+    RECTANGLE,
+    SHAFT,
+    Surface,
+    discs,
+    group,
+    planar_shape,
+    surface,
+    vector,
+)
 
 __all__ = [
     "DISC", "SHAFT", "Surface", "board", "box", "chart_corners", "cylinder", "disc", "foliage",
     "ground", "group", "rectangle", "wall",
 ]  # fmt: skip
-
-RECTANGLE, DISC, SHAFT = range(3)
-"""Kinds of primitives; ``scenes.Tree`` says what their nine shape numbers mean."""
-
-
-@dataclass(frozen=True, eq=False)
-class Surface:
-    """Primitives that share an id and a label.
-
-    Made by the functions of this module (``rectangle``, ``cylinder``, ...), not by hand.
-
-    Parameters
-    ----------
-    label : str
-        What it is, in words of your choice: ``"wall"``, ``"lamp"``.
-    kind, centre, shape, half : arrays, shapes (n,), (n, 3), (n, 9), (n, 3)
-        Kind of each primitive, its centre, its shape numbers (``scenes.Tree``), the half
-        extents of its box.
-    reflectance : array, shape (n,)
-        Between 0 and 1.
-
-    Examples
-    --------
-    >>> car = box((0, 0, 0), (1.8, 4.2, 1.5))
-    >>> len(car), car.label, car.centre[:, 2].max().item()  # six faces
-    (6, 'car', 1.5)
-    """
-
-    label: str
-    kind: np.ndarray
-    centre: np.ndarray
-    shape: np.ndarray
-    half: np.ndarray
-    reflectance: np.ndarray
-
-    def __len__(self):
-        return len(self.kind)
-
-
-def group(surfaces: Sequence[Surface], *, label: str) -> Surface:
-    """Return one surface, with one id, of several.
-
-    Parameters
-    ----------
-    surfaces : sequence of Surface
-    label : str
-
-    Returns
-    -------
-    Surface
-
-    Examples
-    --------
-    >>> mast = [cylinder((0, 0, 0), (0, 0, 5), 0.1), box((0, 0, 5), (0.3, 0.3, 0.2))]
-    >>> lamp = group(mast, label="lamp")
-    >>> len(lamp), lamp.label
-    (7, 'lamp')
-    """
-    names = [field.name for field in fields(Surface)[1:]]
-    return Surface(label, *(np.concatenate([getattr(s, name) for s in surfaces]) for name in names))
 
 
 def rectangle(
@@ -114,9 +63,9 @@ def rectangle(
     >>> wall.cast([[1.9, 0, 0.5], [2.1, 0, 0.5]], [[0, 1, 0]] * 2).range_m.tolist()
     [5.0, nan]
     """
-    u, v = _vector(along, "along") / 2, _vector(up, "up") / 2
-    centre, half = _vector(corner, "corner") + u + v, np.abs(u) + np.abs(v)
-    return _surface(label, RECTANGLE, centre, _planar_shape(u, v), half, reflectance)
+    u, v = vector(along, "along") / 2, vector(up, "up") / 2
+    centre, half = vector(corner, "corner") + u + v, np.abs(u) + np.abs(v)
+    return surface(label, RECTANGLE, centre, planar_shape(u, v), half, reflectance)
 
 
 def ground(
@@ -201,7 +150,7 @@ def disc(centre: ArrayLike, normal: ArrayLike, radius: float) -> Surface:
     >>> sign.cast([[0.29, 0, 2], [0.31, 0, 2]], [[0, 1, 0]] * 2).surface.tolist()
     [0, -1]
     """
-    return _discs("board", centre, _vector(normal, "normal")[None], radius, 0.5)
+    return discs("board", centre, vector(normal, "normal")[None], radius, 0.5)
 
 
 def cylinder(
@@ -243,7 +192,7 @@ def cylinder(
     >>> round(float(cone.cast([0, 0, 1], [[0, 1, 0]]).range_m[0]), 9)  # half way up
     4.5
     """
-    base, top = _vector(base, "base"), _vector(top, "top")
+    base, top = vector(base, "base"), vector(top, "top")
     check_positive(radius, "radius", unit="m")
     end = radius if top_radius is None else check_number(top_radius, "top_radius", low=0, unit="m")
     length = np.linalg.norm(top - base)
@@ -252,7 +201,7 @@ def cylinder(
     axis = (top - base) / length
     shape = np.array([*axis, length / 2, (radius + end) / 2, (end - radius) / length, capped, 0, 0])
     half = np.abs(axis) * length / 2 + max(radius, end) * np.sqrt(np.maximum(1 - axis**2, 0))
-    return _surface(label, SHAFT, (base + top) / 2, shape, half, reflectance)
+    return surface(label, SHAFT, (base + top) / 2, shape, half, reflectance)
 
 
 def box(
@@ -287,7 +236,7 @@ def box(
     >>> float(car.cast([0, 0, 1], [[0, 1, 0]]).range_m[0])
     8.0
     """
-    base = _vector(base, "base")
+    base = vector(base, "base")
     width, length, height = np.asarray(size, dtype=np.float64)
     h = np.radians(heading)
     a = width * np.array([np.cos(h), -np.sin(h), 0])
@@ -338,7 +287,7 @@ def foliage(
     way, places = rng.standard_normal((n, 3)), rng.random((n, 1)) ** (1 / 3)
     ball = places * way / np.linalg.norm(way, axis=1, keepdims=True)
     normals = rng.standard_normal((n, 3))
-    return _discs(label, np.asarray(centre) + ball * radii, normals, leaf_radius, 0.4)
+    return discs(label, np.asarray(centre) + ball * radii, normals, leaf_radius, 0.4)
 
 
 def wall(
@@ -387,7 +336,7 @@ def wall(
     >>> [front.surfaces[k].label for k in hits.surface], hits.range_m.round(6).tolist()
     (['pane', 'wall'], [5.2, 5.0])
     """
-    corner, along = _vector(corner, "corner"), _vector(along, "along")
+    corner, along = vector(corner, "corner"), vector(along, "along")
     height = check_positive(height, "height", unit="m")
     length = np.linalg.norm(along)
     level, upward = along / length, np.array([0.0, 0.0, 1.0])
@@ -435,41 +384,8 @@ def chart_corners(centre: ArrayLike, *, heading: float) -> np.ndarray:
     return np.array([low, low + along, low + along + up, low + up])
 
 
-def _surface(label, kind, centre, shape, half, reflectance):
-    """A surface of primitives of one kind."""
-    check_number(reflectance, "reflectance", low=0, high=1)
-    centre, shape, half = (np.atleast_2d(numbers) for numbers in (centre, shape, half))
-    n = len(centre)
-    return Surface(label, np.full(n, kind), centre, shape, half, np.full(n, float(reflectance)))
-
-
-def _discs(label, centres, normals, radius, reflectance):
-    """A surface of discs."""
-    check_positive(radius, "radius", unit="m")
-    normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-    dual = across(normals) / radius
-    shape = np.concatenate([dual[:, 0], dual[:, 1], normals], axis=1)
-    half = radius * np.sqrt(np.maximum(1 - normals**2, 0))
-    return _surface(label, DISC, np.asarray(centres, float), shape, half, reflectance)
-
-
-def _vector(values, name):
-    """Three finite numbers as float64."""
-    return check_points(np.atleast_2d(values), name=name)[0]
-
-
 def _board_sides(centre, width, height, heading):
     """Lower left corner of a board as one looks at its front, and the sides from there."""
     h = np.radians(check_number(heading, "heading"))
     along, up = width * np.array([-np.cos(h), np.sin(h), 0]), np.array([0.0, 0.0, height])
-    return _vector(centre, "centre") - along / 2 - up / 2, along, up
-
-
-def _planar_shape(u, v):
-    """Dual vectors and normal of the half sides ``u`` and ``v``."""
-    normal = np.cross(u, v)
-    area = np.linalg.norm(normal)
-    if area <= 1e-12 * np.linalg.norm(u) * np.linalg.norm(v):
-        raise ValueError(f"Invalid sides {2 * u} and {2 * v}. Must not be parallel or zero.")
-    normal = normal / area
-    return np.concatenate([np.cross(v, normal) / area, np.cross(normal, u) / area, normal])
+    return vector(centre, "centre") - along / 2 - up / 2, along, up
