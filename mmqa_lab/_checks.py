@@ -1,8 +1,12 @@
 """Argument checks with one message pattern: what is wrong, its value, what is expected."""
 
+import contextlib
 import difflib
+import importlib
 import numbers
+import re
 import textwrap
+from collections.abc import Hashable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +14,8 @@ import numpy as np
 __all__ = [
     "check_choice", "check_columns", "check_count", "check_file", "check_image", "check_kind",
     "check_known", "check_number", "check_outputs", "check_plan", "check_points", "check_polygon",
-    "check_positive", "check_same_crs", "check_upright", "check_values", "listed", "refuse",
+    "check_positive", "check_same_crs", "check_upright", "check_values", "coordinate_columns",
+    "full_path", "is_file", "listed", "needs", "plain_name", "real_array", "refuse", "type_step",
 ]  # fmt: skip
 
 # How files of a kind begin. Of text only that it has no zero byte is known.
@@ -32,6 +37,10 @@ FARTHEST_M = 1e15
 # Letters of a list of names within a sentence.
 LETTERS_LISTED = 300
 
+# Names of coordinates in tables.
+PLAN_NAMES = (("x", "y"), ("easting", "northing"), ("east", "north"), ("rechtswert", "hochwert"))
+HEIGHT_NAMES = ("z", "height", "elevation", "altitude", "up", "höhe", "hoehe")
+
 
 def refuse(wrong, what, found, must):
     """Raise the sentence of something that is wrong: what it is, what was found, what must be.
@@ -46,10 +55,107 @@ def refuse(wrong, what, found, must):
         raise ValueError(f"Invalid {what}: {found}. Must be {must}.")
 
 
+def needs(extra, module):
+    """Return a module of one of the package's extras.
+
+    Examples
+    --------
+    >>> needs("files", "no_such_module")
+    Traceback (most recent call last):
+    ImportError: Missing no_such_module: install mmqa_lab[files].
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise ImportError(f"Missing {module}: install mmqa_lab[{extra}].") from error
+
+
+def real_array(values, name, *, kinds="fiu"):
+    """Return an array of real numbers in its own type; what hides or lacks some is refused.
+
+    The door of all that is given as numbers: a masked array would lose its mask, a missing entry
+    and a row of another length are no numbers.
+
+    Examples
+    --------
+    >>> real_array(np.ma.masked_greater([1.0, 9.0], 5), "widths")
+    Traceback (most recent call last):
+    ValueError: Invalid widths: 1 of 2 masked. Must be numbers without a mask.
+    >>> real_array([1.0, None], "widths")
+    Traceback (most recent call last):
+    TypeError: Invalid widths: None among them. Must be real numbers.
+    """
+    hidden = np.ma.count_masked(values) if isinstance(values, np.ma.MaskedArray) else 0
+    refuse(hidden, name, f"{hidden} of {np.size(values)} masked", "numbers without a mask")
+    try:
+        array = np.asarray(values)
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"Invalid {name}: rows of unlike lengths. Must be real numbers.") from error
+    if array.dtype == object:
+        odd = [one for one in array.flat if not isinstance(one, numbers.Real)][:1]
+        if odd:
+            found = textwrap.shorten(repr(odd[0]), 40, placeholder=" ...")
+            raise TypeError(f"Invalid {name}: {found} among them. Must be real numbers.")
+        array = array.astype(np.float64)
+    if array.dtype.kind not in kinds:
+        kind = "records" if array.dtype.names else array.dtype
+        raise TypeError(f"Invalid {name} of type {kind}. Must be real numbers.")
+    return array
+
+
+def type_step(values):
+    """The step, in their unit, in which numbers of this type and size can be told apart at all.
+
+    Examples
+    --------
+    >>> type_step(np.float32([5_334_000.2])), type_step([5])
+    (0.5, 0.0)
+    """
+    array = np.asarray(values)
+    inexact = array.size and array.dtype.kind == "f"
+    return float(np.spacing(np.abs(array).max())) if inexact else 0.0
+
+
+def coordinate_columns(names: Iterable[str]) -> list[str]:
+    """Return which of the columns of a table are x, y and z; fewer where it has not all.
+
+    Case, a unit in brackets or behind ``_`` and white space do not count: ``X``, ``x_m`` and
+    ``x [m]`` are x. ``easting``, ``northing`` and ``height`` and a few others are known too.
+
+    Examples
+    --------
+    >>> coordinate_columns(["id", "Easting", "Northing", "Height (m)"])
+    ['Easting', 'Northing', 'Height (m)']
+    >>> coordinate_columns(["x_m", "y_m"]), coordinate_columns(["a", "b", "c"])
+    (['x_m', 'y_m'], [])
+    """
+    plain = {plain_name(name): name for name in reversed([*names])}
+    plan = next((pair for pair in PLAN_NAMES if all(name in plain for name in pair)), ())
+    height = next((name for name in HEIGHT_NAMES if plan and name in plain), None)
+    return [plain[name] for name in (*plan, height) if name is not None]
+
+
+def plain_name(name):
+    """A column's name without case and metres."""
+    return re.sub(r"(_m|[\[(]m[\])])$", "", str(name).lower().strip()).strip()
+
+
+def _by_names(table, columns, name):
+    """The coordinates of a table with names for its columns, in the order x, y, z."""
+    names = [*table.columns]
+    if all(isinstance(one, numbers.Integral) for one in names):
+        return table
+    found, wanted = coordinate_columns(names)[:columns], ("x", "y", "z")[:columns]
+    must = f"{', '.join(wanted)} among them"
+    refuse(len(found) != columns, name, f"a table with columns {listed(names)}", must)
+    return table[found]
+
+
 def check_points(points, *, name="points", columns=3, minimum=1):
     """Return ``points`` as finite float64 of shape ``(n, columns)`` with ``n >= minimum``.
 
-    Takes an array or whatever has ``__array__``, a Cloud among others.
+    Takes an array or whatever has ``__array__``, a Cloud among others; of a DataFrame the columns
+    that are named x, y and z, in whichever order they stand.
 
     Raises
     ------
@@ -66,9 +172,9 @@ def check_points(points, *, name="points", columns=3, minimum=1):
     Traceback (most recent call last):
     ValueError: Invalid points of shape (1, 2). Must have shape (n, 3).
     """
-    values = np.asarray(points)
-    if values.dtype.kind not in "fiub":
-        raise TypeError(f"Invalid {name} of type {values.dtype}. Must be real numbers.")
+    if hasattr(points, "iloc") and hasattr(points, "columns"):
+        points = _by_names(points, columns, name)
+    values = real_array(points, name, kinds="fiub")
     if values.ndim != 2 or values.shape[1] != columns:
         raise ValueError(f"Invalid {name} of shape {values.shape}. Must have shape (n, {columns}).")
     if len(values) < minimum:
@@ -89,10 +195,10 @@ def check_plan(points, *, name="points", minimum=1):
     >>> check_plan([[1, 2, 3]]).tolist()
     [[1.0, 2.0]]
     """
-    values = np.asarray(points)
-    if values.ndim == 2 and values.shape[1] == 3:
-        values = values[:, :2]
-    return check_points(values, name=name, columns=2, minimum=minimum)
+    if not hasattr(points, "iloc"):  # of a table x and y are taken by their names
+        points = real_array(points, name, kinds="fiub")
+        points = points[:, :2] if points.ndim == 2 and points.shape[1] == 3 else points
+    return check_points(points, name=name, columns=2, minimum=minimum)
 
 
 def check_polygon(vertices, *, name="polygon"):
@@ -118,9 +224,7 @@ def check_image(image, *, convert=True):
     TypeError, ValueError
         If it is no array of real numbers with two dimensions, or has values that are not finite.
     """
-    values = np.asarray(image)
-    if values.dtype.kind not in "fiu":
-        raise TypeError(f"Invalid image of type {values.dtype}. Must be real numbers.")
+    values = real_array(image, "image")
     if values.ndim != 2 or min(values.shape) < 3:
         raise ValueError(f"Invalid image of shape {values.shape}. Must be grey, 3 x 3 or larger.")
     if not np.isfinite(values).all():
@@ -169,6 +273,32 @@ def check_upright(name, crs):
         raise ValueError(f"Invalid {name} in geocentric {crs.name}. Must have z upwards.")
 
 
+def full_path(path):
+    """Return a path, "~" in it replaced by the home folder.
+
+    Examples
+    --------
+    >>> full_path("~/a.csv").is_absolute(), str(full_path("a~.csv"))
+    (True, 'a~.csv')
+    """
+    with contextlib.suppress(RuntimeError):  # nobody has this name, or no home
+        return Path(path).expanduser()
+    return Path(path)
+
+
+def is_file(path):
+    """Whether a file is there; a text that can be no path names none.
+
+    Examples
+    --------
+    >>> is_file(10_000 * "1,2,3;")
+    False
+    """
+    with contextlib.suppress(OSError, ValueError):  # longer than names are, a zero byte
+        return Path(path).is_file()
+    return False
+
+
 def check_file(path, name):
     """Return the path of a file that exists.
 
@@ -178,11 +308,13 @@ def check_file(path, name):
     Traceback (most recent call last):
     FileNotFoundError: Invalid marks none.csv: no such file. Must exist.
     """
-    if Path(path).is_dir():
-        raise FileNotFoundError(f"Invalid {name} {path}: a folder. Must be a file.")
-    if not Path(path).is_file():
-        raise FileNotFoundError(f"Invalid {name} {path}: no such file. Must exist.")
-    return Path(path)
+    place = full_path(path)
+    if is_file(place):
+        return place
+    with contextlib.suppress(OSError, ValueError):
+        if place.is_dir():
+            raise FileNotFoundError(f"Invalid {name} {path}: a folder. Must be a file.")
+    raise FileNotFoundError(f"Invalid {name} {path}: no such file. Must exist.")
 
 
 def check_outputs(outputs, inputs=()):
@@ -232,10 +364,12 @@ def check_kind(path):
 
 def _is_same(path, other):
     """Whether two paths name one file, which need not exist."""
-    path, other = Path(path), Path(other)
-    if path.exists() and other.exists():
-        return path.samefile(other)
-    return path.resolve() == other.resolve()
+    path, other = full_path(path), full_path(other)
+    with contextlib.suppress(OSError, ValueError):  # a text that can be no path names none
+        if path.exists() and other.exists():
+            return path.samefile(other)
+        return path.resolve() == other.resolve()
+    return False
 
 
 def listed(names):
@@ -275,7 +409,7 @@ def check_number(value, name, *, low=-np.inf, high=np.inf, unit=""):
     """
     if isinstance(value, bool) or not isinstance(value, numbers.Real):
         raise TypeError(f"Invalid {name} {value!r}. Must be a number.")
-    if not np.isfinite(value):
+    if not abs(value) <= np.finfo(float).max:
         raise ValueError(f"Invalid {name} {value}. Must be finite.")
     if not low <= value <= high:
         bounds = f">= {low}" if high == np.inf else f"between {low} and {high}"
@@ -322,7 +456,7 @@ def check_choice(value, name, choices):
     Traceback (most recent call last):
     ValueError: Invalid axes 'up'. Must be one of principal, horizontal.
     """
-    if value not in choices:
+    if not isinstance(value, Hashable) or value not in choices:
         names = ", ".join(map(str, choices))
         raise ValueError(f"Invalid {name} {value!r}. Must be one of {names}.")
     return value
@@ -347,9 +481,9 @@ def check_known(value, name, known):
 
 def check_values(values, name, *, positive=False):
     """Return finite float64 numbers of any shape, checked to be above zero if ``positive``."""
-    array = np.asarray(values)
-    if array.dtype.kind not in "fiu":
+    if isinstance(values, str):
         raise TypeError(f"Invalid {name} {values!r}. Must be a number or an array of numbers.")
+    array = real_array(values, name)
     bad = ~np.isfinite(array) | (positive & (array <= 0))
     if bad.any():
         must = "> 0 and finite" if positive else "finite"

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import fields
 from typing import Any, cast
 
 import numpy as np
 import pandas as pd
 
-__all__ = ["NORMAL", "Shown", "about", "sentences"]
+__all__ = ["NORMAL", "Shown", "about", "digits", "printed", "sentences"]
 
 NORMAL = 1.96
 """Half the 95 % interval of normal errors, over their standard deviation."""
+
+COORDINATE = re.compile(r"(^|_)([xyz]|easting|northing|height)(_low|_high)?(_m)?$")
+"""How the name of a column of coordinates ends."""
 
 
 class Shown:
@@ -47,11 +51,11 @@ class Shown:
         return []
 
     def _repr_html_(self):
-        """The table as HTML: four digits a number, three decimals of large coordinates."""
-        frame = self.to_frame()
+        """The table as HTML, its numbers as :func:`printed` has them."""
+        frame = printed(self.to_frame())
         if len(frame) == 1:
             frame = frame.T.rename(columns={frame.index[0]: type(self).__name__})
-        return frame.to_html(float_format=_digits, max_rows=30)
+        return frame.to_html(max_rows=30)
 
 
 def about(figure, value, std, unit):
@@ -63,16 +67,47 @@ def sentences(*remarks):
     """The sentences of (condition, sentence) whose condition holds; a sentence may be a function.
 
     >>> sentences((True, "Few points."), (False, lambda: 1 / 0))
-    ['Few points.']
+    ('Few points.',)
     """
-    said = [sentence for applies, sentence in remarks if applies]
-    return [sentence() if callable(sentence) else sentence for sentence in said]
+    said = (sentence for applies, sentence in remarks if applies)
+    return tuple(sentence() if callable(sentence) else sentence for sentence in said)
 
 
-def _digits(value):
-    """A number as text.
+def digits(value):
+    """A number as text: four digits, but of a large one all before the point and three behind it.
 
-    >>> _digits(0.0123456), _digits(452_123.4567), _digits(1e12)
-    ('0.01235', '452123.457', '1e+12')
+    So a coordinate keeps its millimetres, whichever column it stands in.
+
+    >>> [digits(one) for one in (0.0123456, 33.333, 4629.0, 452_123.4567, 1e12, -0.0)]
+    ['0.01235', '33.33', '4629', '452123.457', '1e+12', '0']
     """
-    return f"{value:.3f}" if 1e4 <= abs(value) < 1e9 else f"{value:.4g}"
+    large = 1e3 <= abs(value) < 1e9
+    return f"{value:.3f}".rstrip("0").rstrip(".") if large else f"{value + 0.0:.4g}"
+
+
+def printed(frame, *, missing=""):
+    """A table with its numbers as text, as all pages, papers and terminals show it.
+
+    Columns of coordinates in metres keep their millimetres, such in other units seven decimals.
+
+    >>> table = pd.DataFrame({"x_m": [123.45678], "f": [123.45678], "x": [11.576543]})
+    >>> printed(table).loc[0].tolist()
+    ['123.457', '123.5', '11.5765430']
+    """
+    return frame.apply(_texts, missing=missing) if len(frame.columns) else frame
+
+
+def _texts(column, missing):
+    """The numbers of a column as text."""
+    if column.dtype.kind != "f":
+        return column
+    name, write = str(column.name), digits
+    if COORDINATE.search(name):
+        write = _coordinate if name.endswith("_m") else "{:.7f}".format
+    texts = [missing if pd.isna(one) else write(one) for one in column]
+    return pd.Series(texts, column.index, dtype=object, name=column.name)
+
+
+def _coordinate(value):
+    """A coordinate in metres as text: millimetres, and of a small one four digits."""
+    return f"{value:.3f}" if 1 <= abs(value) < 1e9 else digits(value)

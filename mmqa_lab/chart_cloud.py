@@ -486,8 +486,8 @@ def evaluate_cloud(
     sigma_mad_mm = 1000 * sigma_mad(plane.residuals, scale)
     step_mm = 1000 * np.fmax.reduce([resolution, _step(points), np.spacing(np.abs(points).max())])
     remarks = _remarks_on_points(gaps, step_mm, sigma_mad_mm, hull.area, outline.area, axes)
-    remarks += _remark_on_layers(1000 * plane.residuals, step_mm)
-    remarks += _remark_on_form(xy, 1000 * plane.residuals, step_mm, scale)
+    remarks += tuple(_remark_on_layers(1000 * plane.residuals, step_mm))
+    remarks += tuple(_remark_on_form(xy, 1000 * plane.residuals, step_mm, scale))
     return CloudQuality(
         area_polygon_m2=np.nan if polygon is None else outline.area,
         area_hull_m2=float(hull.area),
@@ -495,7 +495,7 @@ def evaluate_cloud(
         axes=axes if isinstance(axes, str) else f"principal + {float(axes):g} degrees",
         rho0_per_m2=rho0,
         step_mm=step_mm,
-        remarks=tuple(remarks),
+        remarks=remarks,
         plane=framed,
         spacing=gaps,
         outline=outline,

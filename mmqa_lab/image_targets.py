@@ -228,7 +228,7 @@ def _reflectances(band, targets, number):
         beyond = not inside, "beyond the reference targets"
         remarks = sentences((saturated, "saturated"), beyond, (line.remark, line.remark))
         doubted = pd.concat([known, patches.loc[[row.Index]]])
-        remarks += _said(doubted["name"], doubted["uneven"])
+        remarks += tuple(_said(doubted["name"], doubted["uneven"]))
         figures = {"target": row.name} | _interval("reflectance", "", value, reach)
         yield figures | {"references": line.n, "remark": "; ".join(remarks)}
 

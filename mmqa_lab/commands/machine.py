@@ -17,7 +17,8 @@ from typing import Annotated
 from cyclopts import App, CycloptsError, Parameter
 
 from mmqa_lab import __version__
-from mmqa_lab._checks import check_outputs
+from mmqa_lab._checks import check_outputs, is_file
+from mmqa_lab._results import printed
 
 __all__ = [
     "FIGURE_ENDINGS", "app", "as_json", "as_text", "check_ending", "heard", "progress", "run",
@@ -128,7 +129,7 @@ def _write_report(page, command, frame, inputs, out):
         sentences=_sentences(frame, "remarks"),
         tables={"Results": rows},
         figures={out.name: out} if out is not None and out.suffix == ".png" else {},
-        files=[one for one in inputs if Path(one).is_file()],
+        files=[one for one in inputs if is_file(one)],
     )
 
 
@@ -208,15 +209,12 @@ def as_text(frame):
         if frame[name].astype(str).str.len().max() > WIDTH / 2:
             below = [*_sentences(frame, name), *below]
             frame = frame.drop(columns=name)
-    for name in frame.columns[frame.columns.str.fullmatch(r"[xyz]_(low|high)(_m)?")]:
-        frame[name] = [f"{round(one, 7):.10g}".replace("nan", "") for one in frame[name]]
     first = frame.columns[0]
-    shown = frame.set_index(first).rename_axis(index=None, columns=first)
-    style = {"float_format": _figure, "na_rep": ""}
-    text = shown.to_string(**style)
+    shown = printed(frame).set_index(first).rename_axis(index=None, columns=first)
+    text = shown.to_string(na_rep="")
     if len(text.splitlines()[0]) > WIDTH:
         upright = shown.T.rename_axis(index=None, columns="")
-        text = (upright if len(shown) <= 6 else shown).to_string(line_width=WIDTH, **style)
+        text = (upright if len(shown) <= 6 else shown).to_string(line_width=WIDTH, na_rep="")
     return "\n".join([text, *(textwrap.fill(line, WIDTH - 1) for line in below)])
 
 
@@ -227,11 +225,6 @@ def _sentences(frame, column):
     names = frame["file"] + ": " if "file" in frame and len(frame) > 1 else ""
     names = names if column == "remarks" else names + f"{column}: "
     return (names + frame[column])[frame[column].fillna("") != ""].unique()
-
-
-def _figure(value):
-    """A number as text with four significant digits; a large number with two decimals."""
-    return f"{round(value, 2):.10g}" if abs(value) >= 1000 else f"{value:.4g}"
 
 
 def progress(items, unit):

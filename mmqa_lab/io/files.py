@@ -6,20 +6,26 @@ import codecs
 import contextlib
 import os
 import re
+import secrets
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pandas as pd
 
-from mmqa_lab._checks import check_kind
+from mmqa_lab._checks import check_kind, full_path
 
 __all__ = ["own_folder", "plain_text", "reading", "write_atomically"]
 
 # Bytes at the beginning of a text file that tell its letters.
 HEAD = 65_536
 
+# Space below which a disk is full.
+FULL_BYTES = 16_384
+
 # The file by which a folder is known as one that the package writes.
 MARK = ".mmqa_lab"
+MARK_FLAGS = os.O_CREAT | os.O_APPEND | os.O_RDWR | getattr(os, "O_NOFOLLOW", 0)
 
 
 def write_atomically(path: str | os.PathLike, write: Callable | str | pd.DataFrame) -> None:
@@ -49,24 +55,42 @@ def write_atomically(path: str | os.PathLike, write: Callable | str | pd.DataFra
     ...     [path.name for path in Path(folder).iterdir()]
     ['f.txt']
     """
-    path = Path(path).resolve()
-    check_kind(path)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
-    try:
+    path = full_path(path)
+    with _writing(path):
+        path = path.resolve()
+        check_kind(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.touch()
-    except OSError as error:
-        raise OSError(f"Invalid file {path}: {error.strerror}. Must be writable.") from error
+        temporary = path.with_name(f".{path.stem[:40]}.{secrets.token_hex(8)}{path.suffix}")
+        temporary.touch(exist_ok=False)  # no link that somebody has laid there is followed
+        try:
+            if isinstance(write, pd.DataFrame):
+                write.to_csv(temporary, index=False, errors="replace")
+            elif isinstance(write, str):
+                temporary.write_text(write, encoding="utf-8", errors="replace")
+            else:
+                write(temporary)
+            with temporary.open("rb+") as file:
+                os.fsync(file)
+            if path.exists():
+                shutil.copymode(path, temporary)
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def _writing(path):
+    """Say of which file it is what a system, or a library on a full disk, raises."""
     try:
-        if isinstance(write, pd.DataFrame):
-            write.to_csv(temporary, index=False, errors="replace")
-        elif isinstance(write, str):
-            temporary.write_text(write, encoding="utf-8", errors="replace")
-        else:
-            write(temporary)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+        yield
+    except Exception as error:
+        if str(error).startswith("Invalid"):
+            raise
+        full = path.parent.is_dir() and shutil.disk_usage(path.parent).free < FULL_BYTES
+        if not isinstance(error, OSError) and not full:
+            raise
+        found = "no space is left" if full else error.strerror or "not written whole"
+        raise OSError(f"Invalid file {path}: {found}. Must be writable.") from error
 
 
 @contextlib.contextmanager
@@ -106,11 +130,11 @@ def own_folder(folder: str | os.PathLike, *, ours: bool = False) -> Iterator[Pat
         raise ValueError(f"Invalid folder {folder}: {found}. Must be new, empty or of such a run.")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        file = (folder / MARK).open("a", encoding="utf-8")
+        opened = os.open(folder / MARK, MARK_FLAGS, 0o666)
     except OSError as error:
         raise OSError(f"Invalid folder {folder}: {error.strerror}. Must be writable.") from error
     try:
-        with file:
+        with os.fdopen(opened, "a", encoding="utf-8") as file:
             _lock(file, folder)
             if not file.tell():
                 file.write("mmqa_lab writes into this folder and may replace its files.\n")

@@ -12,7 +12,14 @@ from io import BytesIO
 import numpy as np
 import pandas as pd
 
-from mmqa_lab._checks import check_columns, check_file, listed, refuse
+from mmqa_lab._checks import (
+    check_columns,
+    check_file,
+    coordinate_columns,
+    listed,
+    plain_name,
+    refuse,
+)
 from mmqa_lab.cloud import unit_remarks
 from mmqa_lab.io.files import plain_text
 
@@ -20,10 +27,6 @@ __all__ = [
     "coordinate_columns", "read_segments", "read_table", "read_trajectory", "text_places",
     "text_table", "with_numbers",
 ]  # fmt: skip
-
-# Columns of tables that are taken for coordinates, the first that are there.
-PLAN_NAMES = (("x", "y"), ("easting", "northing"), ("east", "north"), ("rechtswert", "hochwert"))
-HEIGHT_NAMES = ("z", "height", "elevation", "altitude", "up", "höhe", "hoehe")
 
 # Columns of a vehicle's path, and other names of them without blanks; the first that is there.
 PATH_COLUMNS = ["time_s", "easting_m", "northing_m", "height_m"]
@@ -192,30 +195,6 @@ def text_places(path: str | os.PathLike, name: str, *, finite: bool = True) -> t
     return places, {other: table[other].to_numpy() for other in table.columns.drop(names)}
 
 
-def coordinate_columns(names: Sequence[str]) -> list[str]:
-    """Return which of the columns of a table are x, y and z; fewer where it has not all.
-
-    Case, a unit in brackets or behind ``_`` and white space do not count: ``X``, ``x_m`` and
-    ``x [m]`` are x. ``easting``, ``northing`` and ``height`` and a few others are known too.
-
-    Examples
-    --------
-    >>> coordinate_columns(["id", "Easting", "Northing", "Height (m)"])
-    ['Easting', 'Northing', 'Height (m)']
-    >>> coordinate_columns(["x_m", "y_m"]), coordinate_columns(["a", "b", "c"])
-    (['x_m', 'y_m'], [])
-    """
-    plain = {_plain_name(name): name for name in reversed(names)}
-    plan = next((pair for pair in PLAN_NAMES if all(name in plain for name in pair)), ())
-    height = next((name for name in HEIGHT_NAMES if plan and name in plain), None)
-    return [plain[name] for name in (*plan, height) if name is not None]
-
-
-def _plain_name(name):
-    """A column's name without case and metres."""
-    return re.sub(r"(_m|[\[(]m[\])])$", "", str(name).lower().strip()).strip()
-
-
 def read_table(path: str | os.PathLike, name: str, columns: Sequence[str] = ()) -> pd.DataFrame:
     """Return a CSV file as a table, or raise a sentence where it is none or a column is missing.
 
@@ -377,7 +356,7 @@ def read_segments(path: str | os.PathLike) -> np.ndarray:
     [[0.0, 0.0, 12.0], [9.0, 0.0, 12.0]]
     """
     what, table = f"segments {path}", text_table(path, "segments")
-    table = table.rename(columns={name: _plain_name(name) for name in table})
+    table = table.rename(columns={name: plain_name(name) for name in table})
     if [*table.columns] == UNNAMED_SIX:
         table = with_numbers(table.set_axis(SEGMENT_COLUMNS, axis=1), SEGMENT_COLUMNS, what)
         first, last = np.split(table.to_numpy(), 2, axis=1)

@@ -25,6 +25,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
 
 from mmqa_lab import __version__
+from mmqa_lab._results import digits, printed
 from mmqa_lab.bench import heading, split_unit
 from mmqa_lab.io import write_atomically
 from mmqa_lab.plots import finish_figure, say_kind, with_symbols
@@ -111,7 +112,7 @@ class Run:
         }
         write_record(self.folder, self._record)
         if get_ipython() is not None:
-            pd.set_option("display.max_colwidth", None, "display.float_format", four_digits)
+            pd.set_option("display.max_colwidth", None, "display.float_format", digits)
             get_ipython().events.callbacks["post_execute"].insert(0, _finish_shown)
 
     def save_table(self, frame: pd.DataFrame, name: str, *, kind: str = "") -> None:
@@ -293,8 +294,8 @@ def _latex(frame, name, kind):
     """
     if "kind" in frame and frame["kind"].nunique() == 1:
         frame = frame.drop(columns="kind")
-    style = {"index": False, "escape": True, "na_rep": "--", "float_format": four_digits}
-    lines = map(with_symbols, frame.to_latex(**style).strip().splitlines())
+    text = printed(frame, missing="--").to_latex(index=False, escape=True, na_rep="--")
+    lines = map(with_symbols, text.strip().splitlines())
     text, said = "\n".join(lines).translate(LATEX), f" Numbers: {kind}." if kind else ""
     caption = f"\\caption{{{name.replace('_', ' ').capitalize()}.{said}}}"
     return "\n".join(
@@ -306,7 +307,7 @@ def _macro(name, value, unit, kind):
     """A named number as a LaTeX macro, whose name has letters only: digits become words."""
     spelled = re.sub(r"\d", lambda digit: f"_{DIGITS[int(digit[0])]}_", name)
     camel = "".join(part.capitalize() for part in re.split(r"[^A-Za-z]+", spelled))
-    return f"\\newcommand{{\\mmqa{camel}}}{{{four_digits(value)}}} % {unit}, {kind}"
+    return f"\\newcommand{{\\mmqa{camel}}}{{{digits(value)}}} % {unit}, {kind}"
 
 
 def new_record(folder):
@@ -380,11 +381,6 @@ def _drawn(figure):
             table = pd.DataFrame(np.asarray(xy, dtype=float), columns=["x", "y"])
             rows.append(table.assign(**texts, y_label=ax.get_ylabel()))
     return pd.concat([table for table in rows if len(table)] or [pd.DataFrame({"x": []})])
-
-
-def four_digits(number):
-    """A number as text with four significant digits; a large number is rounded to a whole."""
-    return f"{number:.0f}" if 1e4 <= abs(number) < 1e9 else f"{number + 0.0:.4g}"
 
 
 def _kind_of(frame):

@@ -22,9 +22,10 @@ from nbconvert.preprocessors import TagRemovePreprocessor
 
 import mmqa_lab
 from mmqa_lab import __version__
+from mmqa_lab._results import digits, printed
 from mmqa_lab.io import write_atomically
 from mmqa_lab.published import ledger
-from mmqa_lab.run import four_digits, read_record, verdict
+from mmqa_lab.run import read_record, verdict
 from mmqa_lab.studies import notebooks_folder
 
 __all__ = [
@@ -108,7 +109,7 @@ def write_ledger(path, rows, quick=False):
     """
     counts = ledger.summary(rows).rename_axis(columns=None).reset_index()
     counts = "" if quick else counts.to_html(index=False, border=0)
-    ours, low, high = (rows[name].map(four_digits) for name in ("ours", "ours_low", "ours_high"))
+    ours, low, high = (rows[name].map(digits) for name in ("ours", "ours_low", "ours_high"))
     ours = ours + " (" + low + " to " + high + ")"
     ours = ours.str.replace(r" \(.*nan.*\)|nan", "", regex=True)
     rows = rows.assign(printed=rows["printed"] + " " + rows["unit"], ours=ours)
@@ -195,8 +196,8 @@ def write_report(path, *, title, sentences=(), tables=(), figures=(), files=()):
     hashes = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
     if hashes:
         tables["Files"] = pd.DataFrame(hashes.items(), columns=["file", "SHA-256"])
-    style = {"index": False, "border": 0, "na_rep": "", "float_format": four_digits}
-    rows = {heading: table.to_html(**style) for heading, table in tables.items()}
+    style = {"index": False, "border": 0, "na_rep": ""}
+    rows = {heading: printed(table).to_html(**style) for heading, table in tables.items()}
     whole = {"title": title, "sentences": sentences, "tables": rows, "pictures": pictures}
     write_atomically(path, filled("report.html", **whole, version=__version__))
 
