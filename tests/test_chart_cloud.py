@@ -8,18 +8,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmqa_lab import chart_cloud, planes, spacing, tender
+from mmqa_lab import planes, tender
 from mmqa_lab.__main__ import main
 from mmqa_lab._checks import check_points
 from mmqa_lab.chart_cloud import (
     chart_polygon,
+    evaluate,
     evaluate_cloud,
     inside_polygon,
+    selection,
 )
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import read_cloud, write_cloud
 from mmqa_lab.maps import map_cloud
 from mmqa_lab.planes import PAPER_SCALE, fit_plane
+from mmqa_lab.spacing import empty
 
 CHART = np.array([[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]], dtype=float)
 
@@ -314,7 +317,7 @@ def test_points_are_checked_once_on_their_way(monkeypatch):
         checked.append(len(points))
         return check_points(points, **choices)
 
-    for room in (chart_cloud, planes, spacing):
+    for room in (evaluate, selection, planes, empty):
         monkeypatch.setattr(room, "check_points", counted)
     points = np.random.default_rng(3).random((400, 3)) * [3, 1, 0.002]
     evaluate_cloud(points, rho0=3000.0)

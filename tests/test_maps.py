@@ -62,7 +62,7 @@ def test_cells_are_those_of_a_brute_force():
         assert cell["density"] == n
         assert [float(cell[f"d{k}"]) for k in (1, 2, 3, 4)] == pytest.approx(d, abs=1e-5)
         assert float(cell["f"]) == pytest.approx(d[3] / d[0], abs=1e-5)
-        if n >= maps.MINIMUM:
+        if n >= maps.cells.MINIMUM:
             assert float(cell["sigma_mad"]) == pytest.approx(sigma, rel=2e-4, abs=1e-6)
     assert int(dataset["n"].sum()) == len(points)
 
@@ -107,7 +107,7 @@ def test_tiles_are_one_cloud(campaign):
         maps.map_campaign(paths, run, cell=0.25, tile=4)
 
 
-RUN = "import sys; from mmqa_lab import maps; maps.ENOUGH = 1; "
+RUN = "import sys; from mmqa_lab import maps; maps.campaign.ENOUGH = 1; "
 RUN += "maps.map_campaign(sys.argv[2:], sys.argv[1], cell=0.5, tile=2)"
 
 
@@ -118,7 +118,7 @@ def tiles(folder):
 
 @pytest.mark.parametrize("until", ["*.mmqa_points", "tile_*.npy"])
 def test_a_run_that_was_killed_goes_on_with_the_same_bytes(campaign, until, monkeypatch, capsys):
-    monkeypatch.setattr(maps, "ENOUGH", 1)
+    monkeypatch.setattr(maps.campaign, "ENOUGH", 1)
     paths, folder = campaign
     child = subprocess.Popen([sys.executable, "-c", RUN, folder / "killed", *paths])
     while not list((folder / "killed").rglob(until)) and child.poll() is None:
@@ -323,7 +323,7 @@ def test_points_that_are_left_out_or_counted_are_said_in_every_run(tmp_path, cap
 
 
 def test_a_map_with_missing_tiles_says_so(campaign, monkeypatch):
-    monkeypatch.setattr(maps, "ENOUGH", 1)
+    monkeypatch.setattr(maps.campaign, "ENOUGH", 1)
     paths, folder = campaign
     run = maps.map_campaign(paths, folder / "run", tile=2)
     whole_map = maps.open_map(run)

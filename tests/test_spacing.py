@@ -21,6 +21,7 @@ from mmqa_lab.spacing import (
     quadrant_distances,
     quadrants,
 )
+from mmqa_lab.spacing.quadrants import nearest_by_scipy
 
 NAN = np.nan
 
@@ -156,7 +157,7 @@ def test_every_pattern_equals_brute_force_bit_for_bit(name, n, seed, radius, cor
     xy = pattern(name, n, seed) + corner
     expected = brute_force(xy, radius)
     np.testing.assert_array_equal(quadrant_distances(xy, radius=radius), expected)
-    few = spacing._nearest_by_scipy(xy, radius)  # by scipy
+    few = nearest_by_scipy(xy, radius)  # by scipy
     np.testing.assert_array_equal(few, expected)
     compiled = _search.nearest_per_quadrant(xy, radius, np.ones(len(xy), dtype=bool))
     np.testing.assert_array_equal(compiled, expected)

@@ -49,7 +49,7 @@ FAULTS = (
     ("spacing", "query(places - low, [rank])", "query(places - low, [1])", "test_spacing_empty.py"),
     ("stats", "np.arange(3, 11)", "np.arange(3, 13, 2)", "test_stats.py"),
     ("stats", "counts.max() * WAVE_PARTS > len(places)", "False", "test_stats.py"),
-    ("chart_cloud", "if _by_chance(self.xy, self.axes):", "if False:", "test_chart_cloud.py"),
+    ("chart_cloud", "if is_by_chance(self.xy, self.axes):", "if False:", "test_chart_cloud.py"),
     ("chart_cloud", "noise_mm**2 > (1 - BENT)", "noise_mm**2 > 0", "test_chart_cloud.py"),
     ("chart_cloud", "(found.border >= reach)", "(found.border >= 0)", "test_chart_cloud.py"),
     ("scan_pattern", "axis=-1)[..., 2], 0.95", "axis=-1)[..., 1], 0.95", "test_plan.py"),

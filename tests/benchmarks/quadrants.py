@@ -28,6 +28,7 @@ from scipy.spatial import ConvexHull, cKDTree
 from mmqa_lab import chart_cloud, io, maps, spacing
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.planes import PAPER_SCALE
+from mmqa_lab.spacing.quadrants import nearest_by_scipy
 
 OCTAVE = """
 points = load("{text}");
@@ -90,7 +91,7 @@ PATTERNS = {
 
 def growing_k(xy):
     """The same by scipy's tree: 16 neighbours, twice as many where quadrants are still empty."""
-    return spacing._nearest_by_scipy(xy, 0.5)
+    return nearest_by_scipy(xy, 0.5)
 
 
 def one_by_scipy(xy):

@@ -1,0 +1,159 @@
+"""What speaks against the figures of a selection of points."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mmqa_lab._results import sentences
+from mmqa_lab.planes import sigma_mad
+from mmqa_lab.spacing.directions import FEWEST_POINTS, block_numbers
+
+__all__ = [
+    "COARSE_MM",
+    "PAIRS",
+    "is_below_step",
+    "remark_on_form",
+    "remark_on_layers",
+    "remarks_on_points",
+]
+
+ALIKE = 1.1
+"""Ratio of the two largest variances below which the principal axes have a random direction."""
+
+FAR_QUANTILES = 3.0
+"""Points farther than this many 90 % quantiles of all distances get a remark."""
+
+PAIRS = 5.0
+"""Points come in pairs if d2 / d1 is larger. It is 1.7 for random points and 2 on lines."""
+
+COARSE_MM = 1e-3
+"""Smaller steps of coordinates are never too coarse."""
+
+FULL = 1.5
+"""Ratio of a polygon's area to the hull of its points above which a remark is given."""
+
+DUPLICATES = 0.001
+"""Share of points in the place of another up to which they do not count for the density."""
+
+BENT = 0.5
+"""Share of the variance of the distances, explained by a surface of second degree, above which a
+remark is given."""
+
+
+def remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
+    """Remarks on figures that these points cannot give or give wrongly."""
+    d1_mm, d2_mm = 1000 * gaps.d[:2]
+    away = np.hypot(*(gaps.xy - np.median(gaps.xy, axis=0)).T)
+    far = away > FAR_QUANTILES * np.quantile(away, 0.9)
+    coarse = [f"sigma_MAD {sigma_mm:.3g} mm"] * int(step_mm > sigma_mm)
+    coarse += [f"d1 {d1_mm:.3g} mm"] * int(step_mm > d1_mm / 5)
+    return sentences(
+        (
+            step_mm > COARSE_MM and coarse,
+            f"Coordinates are in steps of {step_mm:.3g} mm: too coarse for {' and '.join(coarse)}.",
+        ),
+        (
+            is_below_step(d1_mm, step_mm),
+            "f is not measured: points lie nearer to each other than the steps of coordinates.",
+        ),
+        (
+            far.any(),
+            f"{far.sum()} points lie far from the others, up to {away.max():.4g} m: they widen the "
+            "hull, which lowers its density, and turn the plane.",
+        ),
+        (
+            gaps.incomplete_share == 1,
+            "No point has neighbours in all four quadrants within the search radius: d4 and f are "
+            "not measured.",
+        ),
+        (
+            gaps.coincident > 0,
+            f"{gaps.coincident} points ({100 * gaps.coincident / gaps.n:.3g} %) share their place "
+            "with another"
+            + (": they raise the density." if gaps.coincident > DUPLICATES * gaps.n else "."),
+        ),
+        (
+            d2_mm > PAIRS * d1_mm,
+            lambda: (
+                f"d2 is {d2_mm / d1_mm:.0f} times d1: points come in pairs, as from two returns of "
+                "a pulse or from a repeated scan; density and f count both."
+            ),
+        ),
+        (gaps.n < FEWEST_POINTS, f"Fewer than {FEWEST_POINTS} points: no confidence intervals."),
+        (
+            is_by_chance(gaps.xy, axes),
+            "Points spread alike in all directions: principal axes, and f, are by chance. So d1 to "
+            "d4 and f have no intervals.",
+        ),
+        (
+            outline_m2 > FULL * hull_m2,
+            lambda: (
+                f"Points lie on {100 * hull_m2 / outline_m2:.0f} % of the polygon: its density "
+                "counts the rest too."
+            ),
+        ),
+    )
+
+
+def is_below_step(d1_mm: ArrayLike, step_mm: float) -> np.ndarray:
+    """Return whether a spacing is due to rounding alone: points in a grid of steps lie farther.
+
+    Examples
+    --------
+    >>> is_below_step([0.1, 9.0], 10.0).tolist()
+    [True, False]
+    """
+    return np.multiply(2, d1_mm) < step_mm
+
+
+def is_by_chance(xy, axes):
+    """Whether the axes of the quadrants follow from points that spread alike everywhere."""
+    narrow, wide = np.linalg.eigvalsh(np.cov(xy.T))
+    return axes != "horizontal" and wide < ALIKE * narrow
+
+
+def remark_on_form(xy, residuals_mm, step_mm, scale):
+    """A remark if the form of a surface, bent or stepped, is most of its distances from a plane."""
+    if len(xy) < FEWEST_POINTS or np.std(residuals_mm) < max(step_mm / 4, COARSE_MM):
+        return []
+    x, y = (xy / np.abs(xy).max()).T
+    terms = np.array([np.ones_like(x), x, y, x * x, x * y, y * y])
+    rest = residuals_mm - np.linalg.pinv(terms @ terms.T) @ (terms @ residuals_mm) @ terms
+    share = 1 - np.var(rest) / np.var(residuals_mm)
+    if share >= BENT:
+        return [
+            f"The surface is bent: its form is {100 * share:.0f} % of the variance of the "
+            f"distances. Without it sigma_MAD is {sigma_mad(rest, scale):.1f} mm."
+        ]
+    block = block_numbers(xy, side=int(min(8, (len(xy) / 8) ** 0.5)))
+    counts = np.maximum(np.bincount(block), 1)
+    within = residuals_mm - (np.bincount(block, residuals_mm) / counts)[block]
+    # the means of the blocks take a part of the noise
+    noise_mm = sigma_mad(within, scale) * (len(xy) / (len(xy) - len(counts))) ** 0.5
+    all_mm = sigma_mad(residuals_mm, scale)
+    # of few points a median halves by chance, so the variance without outliers must agree
+    form = np.bincount(block, np.clip(residuals_mm, -3 * all_mm, 3 * all_mm)) / counts
+    if noise_mm**2 > (1 - BENT) * all_mm**2 or np.var(form[block]) < BENT / 2 * all_mm**2:
+        return []
+    return [
+        "The surface is stepped or uneven: most of its distances from the plane are its form. "
+        f"Within {len(counts)} blocks sigma_MAD is {noise_mm:.1f} mm."
+    ]
+
+
+def remark_on_layers(residuals_mm, step_mm):
+    """A remark if the distances from the plane have two peaks, so they are not noise alone."""
+    low, high = np.quantile(residuals_mm, [0.005, 0.995])
+    width = max(np.std(residuals_mm) / 4, 1.5 * step_mm)
+    if len(residuals_mm) < 100 or not high - low > 4 * width:
+        return []
+    counts, edges = np.histogram(residuals_mm, np.arange(low, high + width, width))
+    before, after = np.maximum.accumulate(counts), np.maximum.accumulate(counts[::-1])[::-1]
+    lower = np.minimum(before, after)
+    k = np.argmax(lower - counts)
+    if 2 * counts[k] > lower[k] or lower[k] < 0.05 * len(residuals_mm):
+        return []
+    peaks = [edges[np.argmax(counts[:k])], edges[k + np.argmax(counts[k:])]]
+    a, b = np.add(peaks, width / 2)
+    return [f"Distances from the plane have two layers, {a:.0f} and {b:.0f} mm: not noise alone."]

@@ -1,0 +1,205 @@
+"""The figures of a chart in square cells of a cloud in memory."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from mmqa_lab._checks import (
+    check_points,
+    check_positive,
+)
+from mmqa_lab.chart_cloud.doubts import COARSE_MM, PAIRS, is_below_step
+from mmqa_lab.cloud import ON_BORDER, cells_of, extent, sort_into_cells, unit_remarks
+from mmqa_lab.planes import CONSISTENT_SCALE
+from mmqa_lab.spacing import quadrant_distances
+from mmqa_lab.spacing.empty import STEPS
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from numpy.typing import ArrayLike
+
+__all__ = ["FIGURES", "map_cloud"]
+
+FIGURES = {
+    "n": ("1", "points in the cell"),
+    "density": ("m-2", "points per area of the cell"),
+    "d1": ("mm", "median distance to the nearest of the nearest points in four quadrants"),
+    "d2": ("mm", "median distance to the second of them"),
+    "d3": ("mm", "median distance to the third of them"),
+    "d4": ("mm", "median distance to the farthest of them"),
+    "f": ("1", "inhomogeneity d4 / d1"),
+    "e95": ("mm", "95 % of the places in the cell lie within this distance of a point"),
+    "incomplete_share": ("1", "share of points with an empty quadrant within the radius"),
+    "sigma_mad": ("mm", "1.4826 x median absolute deviation from the plane of the cell's points"),
+    "coincident": ("1", "points in the place of another one: they raise the density"),
+}
+"""Variables of a map with their units and meanings."""
+
+# Fewest points for the sigma_MAD of a cell. A plane fits fewer points too closely.
+MINIMUM = 10
+
+# Places of a cell from which the nearest point is sought for e95: as evenly as in ``spacing``. The
+# last but one stands for 95 % of them.
+CELL_PLACES = np.outer(np.arange(1, 31), STEPS) % 1
+
+# Most cells in the rectangle of a map, 8 GB: 5 km x 5 km for cells of half a metre.
+MOST_MAP_CELLS = 1e8
+
+
+def map_cloud(points: ArrayLike, *, cell: float = 0.5, radius: float = 0.5) -> xr.Dataset:
+    """Evaluate every cell of a cloud.
+
+    Parameters
+    ----------
+    points : Cloud or array_like, shape (n, 3)
+        Easting, northing and height, m.
+    cell : float
+        Side of the square cells, m. The borders lie at multiples of the side.
+    radius : float
+        Largest distance of a neighbour in plan, m; one at this distance counts.
+
+    Returns
+    -------
+    Dataset
+        Dimensions ``y``, ``x`` (centres of the cells, m), and the variables of ``FIGURES`` with
+        their units; NaN if not measurable. The attribute ``remarks`` tells what speaks against
+        them.
+
+    Raises
+    ------
+    ValueError
+        If the cloud is empty or too wide, or if ``cell`` or ``radius`` is not above zero.
+
+    See Also
+    --------
+    map_campaign : the same for files of any size.
+
+    References
+    ----------
+    Pfeifer et al. 2021, section 3.3. doi:10.3390/rs13020237
+
+    Examples
+    --------
+    >>> x, y = np.meshgrid(np.arange(50) * 0.02, np.arange(50) * 0.04)
+    >>> found = map_cloud(np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1))
+    >>> dict(found.sizes), float(found["d4"].median().round(6))
+    ({'y': 4, 'x': 2}, 40.0)
+    """
+    step, crs = getattr(points, "resolution", np.nan), getattr(points, "crs", None)
+    points = check_points(points)
+    cell, radius = check_positive(cell, "cell", unit="m"), check_positive(radius, "radius")
+    check_extent(points, cell)
+    index = cells_of(points[:, :2], cell)
+    table = evaluated_cells(points, index, np.ones(len(points), dtype=bool), cell, radius)
+    remarks = unit_remarks(points, crs=crs)
+    return dataset_of(table, {"cell": cell, "radius": radius, "step": step, "remarks": remarks})
+
+
+def check_extent(points, cell):
+    """Refuse clouds that are too wide, such as clouds in millimetres."""
+    size = np.ptp(extent(points), axis=0)[:2]
+    if np.prod(size / cell + 1) > MOST_MAP_CELLS:
+        wide = " x ".join(f"{length / 1000:.4g} km" for length in size)
+        most = f"{MOST_MAP_CELLS / 1e6:.0f} million cells of {cell} m"
+        raise ValueError(f"Invalid clouds over {wide}. Must lie in {most}, in metres.")
+
+
+def evaluated_cells(points, index, inner, cell, radius):
+    """A row for each cell with points: its place and its figures, shape (m, 2 + figures).
+
+    ``index`` has the points' cells. Points that are not ``inner`` only count as neighbours.
+    """
+    order, starts, cells = sort_into_cells(index[inner], 1)
+    starts, counts = starts[:-1], np.diff(starts)
+    group = np.repeat(np.arange(len(cells)), counts)
+    rows, radius = np.flatnonzero(inner)[order], radius * (1 + ON_BORDER)
+    local = points[:, :2] - cells[0] * cell
+    distances = quadrant_distances(local, radius=radius, of=inner)
+    distances, own = (np.take(one, rows, axis=0).T.copy() for one in (distances, points))
+    deviations = _deviations(own, starts, counts, group)
+    *d, middle = _medians([*distances, deviations], group)
+    (off,) = _medians([np.abs(deviations - middle[group])], group)
+    sigma = np.where(counts >= MINIMUM, CONSISTENT_SCALE * off, np.nan)
+    missing = np.add.reduceat(np.isnan(distances[3]).astype(float), starts)
+    same = np.add.reduceat(_coincident(own), starts)
+    e95 = _empty_space(local, (cells - cells[0])[:, None] + CELL_PLACES, cell, radius)
+    *d_mm, e95_mm, sigma_mm = (1000 * length for length in (*d, e95, sigma))
+    figures = counts, counts / cell**2, *d_mm, d[3] / d[0], e95_mm, missing / counts
+    return np.column_stack([cells, *figures, sigma_mm, same])
+
+
+def _medians(rows, group):
+    """Median of each group in each row without its NaN; NaN for a group without numbers."""
+    return pd.DataFrame(np.transpose(rows)).groupby(group).median().to_numpy().T
+
+
+def _empty_space(xy, places, cell, radius):
+    """e95 of cells with places, shape (cells, places, 2), m; NaN beyond the radius."""
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(xy, leafsize=64, balanced_tree=False, compact_nodes=False)
+    away = tree.query(cell * places, [1], distance_upper_bound=radius)[0]
+    e95 = np.partition(away[:, :, 0], -2, axis=1)[:, -2]
+    return np.where(np.isfinite(e95), e95, np.nan)
+
+
+def _deviations(xyz, starts, counts, group):
+    """Signed distances from the regression planes of the groups, m."""
+    local = xyz - xyz[:, starts][:, group]
+    local -= (np.add.reduceat(local, starts, axis=1) / counts)[:, group]
+    squares = [np.add.reduceat(a * b, starts) for a in local for b in local]
+    normals = np.linalg.eigh(np.reshape(squares, (3, 3, -1)).T)[1][:, :, 0]
+    return (local * normals.T[:, group]).sum(axis=0)
+
+
+def _coincident(xyz):
+    """1 for a point with the three coordinates of another one, else 0."""
+    x, y, z = (xyz + 0.0).view(np.uint64)  # of zeros both signs are one place
+    key = x * np.uint64(3**20) + y * np.uint64(5**20) + z * np.uint64(7**20)
+    listed = np.sort(key)
+    twice = listed[1:][listed[1:] == listed[:-1]]
+    return np.isin(key, twice).astype(int) if len(twice) else np.zeros(len(key), dtype=int)
+
+
+def dataset_of(table, run):
+    """The Dataset of rows of :func:`evaluated_cells`."""
+    import xarray as xr
+
+    cells, cell = table[:, :2].astype(np.int64), run["cell"]
+    first = cells.min(axis=0)
+    columns, rows = (cells - first).T
+    data = {}
+    for (name, (unit, meaning)), values in zip(FIGURES.items(), table.T[2:], strict=True):
+        whole = np.full((rows.max() + 1, columns.max() + 1), 0 if name == "n" else np.nan)
+        whole[rows, columns] = values
+        data[name] = (("y", "x"), whole, {"units": unit, "long_name": meaning})
+    places = {"y": first[1] + np.arange(len(whole)), "x": first[0] + np.arange(len(whole[0]))}
+    step_mm = 1000 * run["step"]
+    below = is_below_step(data["d1"][1], step_mm)
+    data["f"][1][below] = np.nan
+    axes = {name: (name, (place + 0.5) * cell, {"units": "m"}) for name, place in places.items()}
+    medians = pd.DataFrame(table[:, 2:], columns=list(FIGURES)).median()
+    same = np.nansum(data["coincident"][1]), data["n"][1].sum()
+    remarks = [*run["remarks"], *_remarks(medians, step_mm, int(below.sum()), *same)]
+    about = {"cell_m": cell, "radius_m": run["radius"], "remarks": " ".join(remarks)}
+    return xr.Dataset(data, coords=axes, attrs=about)
+
+
+def _remarks(medians, step_mm, below, same, count):
+    """What speaks against the figures of a map."""
+    d1, d2, sigma = medians[["d1", "d2", "sigma_mad"]]
+    coarse = [f"sigma_MAD {sigma:.3g} mm"] * (step_mm > sigma)
+    coarse += [f"d1 {d1:.3g} mm"] * (step_mm > d1 / 5)
+    steps = f"Coordinates are in steps of {step_mm:.3g} mm: too coarse for {' and '.join(coarse)}."
+    pairs = f"d2 is {d2 / d1:.0f} times d1: points come in pairs, as from two returns of a pulse"
+    share = f"{same:.0f} points ({100 * same / count:.3g} %) share their place with another"
+    remarks = (
+        (step_mm > COARSE_MM and coarse, steps),
+        (below, f"f is not measured in {below} cells: points lie nearer than the steps."),
+        (d2 > PAIRS * d1, f"{pairs} or from a repeated scan; density and f count both."),
+        (same, f"{share}: they raise the density."),
+    )
+    return [sentence for holds, sentence in remarks if holds]
