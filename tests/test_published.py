@@ -168,3 +168,22 @@ def test_a_fit_is_no_reproduction():
     ours = {"value": 15.0, "low": NAN, "high": NAN}
     assert ledger.verdict(printed, ours | {"kind": "predicted"}) == "reproduced"
     assert ledger.verdict(printed, ours | {"kind": "fitted"}) == "fitted"
+
+
+def test_every_cell_stands_in_its_table():
+    marks = {"a": 1.0, "b": 2.0, "c": 3.0}
+    for place, cells in ledger.cells().groupby(["source", "table"]):
+        table = published.raw(*place)
+        there = set(pd.to_numeric(table.stack(), errors="coerce")) | set(marks.values())
+        assert set(cells["value"].dropna()) <= there
+        texts = set(table.stack()) | {f"{a} {b}" for a in ("<", "about") for b in table.stack()}
+        if "status" not in table:
+            assert set(cells["printed"]) <= texts | set(cells["printed"][cells["relation"] != "="])
+
+
+def test_one_row_decides_whatever_the_order_of_the_table(tmp_path):
+    rows = [D1 | {"value": 9.0, "kind": "predicted"}, D1 | {"value": 4.0, "kind": "measured"}]
+    write(tmp_path, "a", ledger.entries(rows))
+    collected = ledger.collect(tmp_path).query("decides and cell == 'A 5 m d1'")["verdict"].item()
+    for order in (rows, rows[::-1]):
+        assert ledger.verdicts(ledger.entries(order)).tolist() == [collected] == ["differs"]

@@ -71,7 +71,7 @@ def table(source: str, name: str) -> pd.DataFrame:
     systems, numbers, derived.
     """
     frame = raw(source, name)
-    types = _columns()["type"]
+    types = _strings("columns").set_index("column")["type"]
     for column in frame.columns.intersection(types.index):
         frame[column] = _typed(frame[column], types[column])
     return frame
@@ -143,11 +143,6 @@ def number(source: str, key: str) -> dict:
             rows |= {row["id"]: row for row in frame.assign(table=name).to_dict("records")}
     check_choice(key, f"number of {source}", tuple(filter(None, rows)))
     return rows[key]
-
-
-def _columns():
-    """Types, units and labels of the columns that are not plain text, by their names."""
-    return _strings("columns").set_index("column")
 
 
 @cache

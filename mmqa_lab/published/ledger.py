@@ -20,7 +20,6 @@ whole unit of the last digit that is not zero. Legibility marks count as a = 1, 
 
 import os
 from collections.abc import Collection, Mapping
-from decimal import Decimal
 from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
@@ -36,11 +35,10 @@ __dir__ = __all__.copy
 
 OUR_KINDS = ("predicted", "measured", "fitted")
 CELL_VERDICTS = ("reproduced", "consistent", "fitted", "differs", "not comparable", "not run")
-NUMBER_PARTS = ("relation", "printed", "value", "low", "high")
+CELL_NUMBERS = ["value", "low", "high"]
 CELL = ["source", "table", "cell"]
-COLUMNS = [*CELL, "value", "low", "high", "kind", "note"]
+COLUMNS = [*CELL, *CELL_NUMBERS, "kind", "note"]
 
-FOOTNOTES = {"a": "1", "b": "2", "c": "3"}
 # Widest line pairs of the chart (Pfeifer et al. 2021, section 3.2): a dash is read as coarser.
 COARSEST_MM = {"h": 40.0, "v": 30.0}
 
@@ -190,11 +188,13 @@ def collect(folder: str | os.PathLike, *, not_run: Collection[str] = ()) -> pd.D
     silent = (ledger["verdict"] == "not comparable") & (ledger["note"].fillna("") == "")
     ledger["note"] = ledger["note"].fillna("").where(~silent, ledger["reason"])
     ledger["decides"] = ~ledger.duplicated(CELL)
-    return ledger.fillna({"kind": "", "study": ""}).drop(columns=["reason", "rank"])
+    return ledger.fillna({"kind": "", "study": ""}).drop(columns="reason")
 
 
 def verdicts(rows: pd.DataFrame) -> pd.Series:
-    """Return the verdict on each row of a study's entries, by the name of its cell.
+    """Return the verdict on each cell of a study's entries, by its name: of the row that decides.
+
+    It is the row that decides in :func:`collect`, whatever the order of the table.
 
     Parameters
     ----------
@@ -212,7 +212,8 @@ def verdicts(rows: pd.DataFrame) -> pd.Series:
     >>> verdicts(table).to_dict()
     {'pfeifer2021 table_2 A 5 m d1': 'reproduced'}
     """
-    printed, ours = _cells().set_index(CELL), rows.set_index(CELL)
+    printed, ours = _cells().set_index(CELL), _by_rank(rows).drop_duplicates(CELL).sort_index()
+    ours = ours.set_index(CELL)
     found = {
         " ".join(place): verdict(printed.loc[place], row)
         for place, row in zip(ours.index, ours.to_dict("records"), strict=True)
@@ -248,89 +249,10 @@ def summary(ledger: pd.DataFrame) -> pd.DataFrame:
 
 @cache
 def _cells():
-    """All cells, made once."""
-    sections = published._strings("contents").set_index(["source", "table"])["section"]
-    columns = published._columns().to_dict("index")
-    rows = []
-    for layout in published._strings("ledger_tables").to_dict("records"):
-        section = sections[layout["source"], layout["table"]]
-        for row in published.raw(layout["source"], layout["table"]).to_dict("records"):
-            row = {"section": section, **row}
-            rows += [_cell(row, layout, m, columns[m]) for m in layout["measures"].split()]
-    found = pd.DataFrame([row for row in rows if row])
-    return found.drop_duplicates(CELL, ignore_index=True)
-
-
-def _cell(row, layout, measure, column):
-    """The cell that one row of a table has for a column; None where nothing is printed."""
-    number = _number(row, measure)
-    if number is None:
-        return None
-    name = layout["cell"].format(**row, label=column["label"])
-    return {
-        "source": layout["source"],
-        "table": layout["table"],
-        "cell": " ".join(name.split()),
-        "role": row.get("role") or layout["role"],
-        **dict(zip(NUMBER_PARTS, number, strict=True)),
-        "unit": column["unit"] or row["unit"],
-        "section": row["section"],
-    }
-
-
-def _number(row, measure):
-    """Relation, printed string, value and rounding interval of one cell; None where it is empty."""
-    if row.get("status") == "not_resolved":
-        return _dash(row)
-    if row.get("relation") == "range":
-        return _range(row)
-    if "low" in row:
-        bound = (row["low"] or row["high"]) if row["relation"] else ""
-        return _plain({"relation": row["relation"], "value": bound}, "value")
-    return _plain(row, measure)
-
-
-def _dash(row):
-    """A printed dash: coarser than the chart, or not measurable."""
-    coarser = row["quantity"] == "line-pair width"
-    ends = (COARSEST_MM[row["direction"]], np.inf) if coarser else (np.nan, np.nan)
-    return "=", row["printed"], np.nan, *ends
-
-
-def _range(row):
-    """A printed range."""
-    low, high = _interval(row["low"], "=")[0], _interval(row["high"], "=")[1]
-    return "range", f"{row['low']} to {row['high']}", np.nan, low, high
-
-
-def _plain(row, measure):
-    """A printed number, with a relation or without."""
-    digits = FOOTNOTES.get(row.get("printed"), row[measure])
-    if digits == "":
-        return None
-    relation = row.get("relation") or "="
-    sign = "" if relation == "=" else f"{relation} "
-    printed = row.get(f"{measure}_printed") or row.get("printed") or sign + row[measure]
-    return relation, printed, float(digits), *_interval(digits, relation)
-
-
-def _interval(digits, relation):
-    """The values that print as ``digits`` with a relation."""
-    value = float(digits)
-    decimals = len(digits.partition(".")[2])
-    half = 0.5 * 10.0**-decimals
-    low, high = np.round([value - half, value + half], decimals + 1).tolist()
-    unit = 10.0 ** Decimal(digits).normalize().as_tuple().exponent
-    return {
-        "=": (low, high),
-        "about": (value - unit, value + unit),
-        "within": (-high, high),
-        "<": (-np.inf, value),
-        "<=": (-np.inf, high),
-        "up to": (-np.inf, high),
-        ">": (value, np.inf),
-        ">=": (low, np.inf),
-    }[relation]
+    """All cells, read once."""
+    found = published._strings("cells").copy()
+    found[CELL_NUMBERS] = found[CELL_NUMBERS].replace("", "nan").astype(float)
+    return found
 
 
 def _meets(printed, low, high):
@@ -352,13 +274,17 @@ def _reason(cell, rules):
 
 def _entries(folder):
     """All entries below a folder, those that decide first."""
-    ours, found = ("value", "low", "high"), [pd.DataFrame(columns=[*COLUMNS, "study"])]
+    found = [pd.DataFrame(columns=[*COLUMNS, "study"])]
     for file in sorted(Path(folder).glob("*/ledger.csv")):
         found.append(entries(pd.read_csv(file)).assign(study=file.parent.name))
-    found = pd.concat(found[1:] or found).astype(dict.fromkeys(ours, float))
-    found["rank"] = found["kind"].map(OUR_KINDS.index)
+    found = pd.concat(found[1:] or found).astype(dict.fromkeys(CELL_NUMBERS, float))
     renamed = {"value": "ours", "low": "ours_low", "high": "ours_high"}
-    return found.sort_values("rank", kind="stable").rename(columns=renamed)
+    return _by_rank(found).rename(columns=renamed)
+
+
+def _by_rank(entries):
+    """Entries in the order in which they decide: predicted, measured, fitted."""
+    return entries.sort_values("kind", key=lambda kind: kind.map(OUR_KINDS.index), kind="stable")
 
 
 def _verdict_of_row(row, not_run):
