@@ -5,8 +5,8 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 
-from mmqa_lab import run, widgets
-from mmqa_lab.run import Run
+from mmqa_lab import widgets
+from mmqa_lab.run import Run, results
 
 TOUCHING_PX = 1.5
 """Boxes of texts include the room of letters that are not there; so much of it may be shared."""
@@ -48,7 +48,7 @@ def doubled_names(figure):
 def of_no_kind(figure, name):
     """A sentence for a figure that does not say which kind of numbers it shows."""
     said = " ".join(text.get_text() for text in figure.findobj(plt.Text))
-    kinds = (*run.NUMBER_KINDS, "simulated")
+    kinds = (*results.NUMBER_KINDS, "simulated")
     return [] if name in DRAWINGS or any(kind in said for kind in kinds) else ["no kind is said"]
 
 
@@ -64,7 +64,7 @@ def watch(file):
 
     Figures are saved as PNG alone: other tests save in all forms.
     """
-    run.FORMATS = {"png": {}}
+    results.FORMATS = {"png": {}}
     save_figure, explore = Run.save_figure, widgets.explore
     found, seen = {}, []
 

@@ -6,8 +6,7 @@ import pytest
 import yaml
 from distorted import Lens
 
-from mmqa_lab import chart_image, charts
-from mmqa_lab.commands import surveys
+from mmqa_lab import chart_image, charts, commands
 
 CHART = charts.imaging_chart()
 
@@ -86,7 +85,7 @@ def test_lines_bent_too_far_are_refused_by_how_far_and_measured_with_the_lens(tm
     matrix, distortion = calibration(STRONG)
     camera = {"camera_matrix": matrix.tolist(), "dist_coeff": [distortion.tolist()]}
     (tmp_path / "lens.yaml").write_text(yaml.dump(camera))
-    row = surveys.image([tmp_path / "photo.png"], linear=True, camera=tmp_path / "lens.yaml")
+    row = commands.image([tmp_path / "photo.png"], linear=True, camera=tmp_path / "lens.yaml")
     truth = 1600 / sum(STRONG.length(CHART[name]) for name in ("bar_left", "bar_right"))
     assert row["pixel_v_mm"].item() == pytest.approx(truth, rel=1e-3)
     assert row["w_v_mm"].item() <= 3.3 * truth

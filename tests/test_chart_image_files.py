@@ -7,8 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from mmqa_lab import chart_image, charts, io, samples
-from mmqa_lab.commands import surveys
+from mmqa_lab import chart_image, charts, commands, io, samples
 from mmqa_lab.simulate import cameras
 
 CHART = charts.imaging_chart()
@@ -127,12 +126,12 @@ def test_a_chart_printed_too_small_is_measured_with_its_own_length():
 def test_photographs_without_a_chart_cost_the_others_nothing(tmp_path):
     wall = tmp_path / "wall.png"
     cv2.imwrite(str(wall), np.random.default_rng(0).integers(0, 255, (200, 300), dtype=np.uint8))
-    rows = surveys.image([wall, samples.path("chart_photo"), tmp_path / "none.jpg"])
+    rows = commands.image([wall, samples.path("chart_photo"), tmp_path / "none.jpg"])
     assert rows["file"].tolist() == ["wall.png", "chart_photo.jpg", "none.jpg"]
     assert rows["pixel_v_mm"].notna().tolist() == [False, True, False]
     assert "long bars found" in rows["remark"][0]
     with pytest.raises(ValueError, match=r"wall\.png, image: .* long bars found"):
-        surveys.image([wall, wall])
+        commands.image([wall, wall])
 
 
 @pytest.mark.parametrize("size", [(5500, 5000), (7200, 6000)])

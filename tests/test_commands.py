@@ -99,7 +99,7 @@ def test_a_table_is_printed_and_written(name, call, tmp_path):
 
 
 def test_a_command_is_its_function():
-    table = commands.surveys.evaluate([samples.path("road_patch")])
+    table = commands.evaluate([samples.path("road_patch")])
     quality = chart_cloud.evaluate_cloud(io.read_cloud(samples.path("road_patch")))
     assert table["f"].item() == quality.f
 

@@ -110,7 +110,9 @@ def test_each_room_has_a_test_file_by_its_name():
         assert (TESTS / f"test_{name}.py").is_file()
 
 
-GONE = {}
+GONE = {
+    "commands.surveys": "commands",
+}
 """Public names of 0.4 that are no more, each with what takes its place, as in CHANGELOG.md."""
 
 

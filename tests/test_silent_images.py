@@ -21,8 +21,7 @@ from test_image_targets import tarps
 from test_mtf import odd_edge
 from test_radiometry import block
 
-from mmqa_lab import charts, image_targets, radiometry, samples, tender
-from mmqa_lab.commands import surveys
+from mmqa_lab import charts, commands, image_targets, radiometry, samples, tender
 from mmqa_lab.mtf import fit_edge, measure_star
 from mmqa_lab.simulate.targets import PointSpread, render_edge, render_star
 
@@ -43,7 +42,7 @@ def of_photograph(image, figure, tmp_path, *, linear=True, **choices):
     """A figure of ``mmqa image`` and its remark."""
     file = tmp_path / "photo.png"
     cv2.imwrite(str(file), np.uint8(np.clip(255 * image, 0, 255)) if linear else image)
-    row = surveys.image([file], linear=linear, **choices).iloc[0]
+    row = commands.image([file], linear=linear, **choices).iloc[0]
     return row[figure], row["remark"]
 
 
@@ -177,7 +176,7 @@ def of_file(*, lzw, turn=0):
         pixels.save(path / "a.tif", tiffinfo={274: 1 + turn}, **kept)
         table.to_csv(path / "targets.csv", index=False)
         files = [path / "a.tif"]
-        row = surveys.radiometry("reflect", files, targets=path / "targets.csv").iloc[0]
+        row = commands.radiometry("reflect", files, targets=path / "targets.csv").iloc[0]
         return row["reflectance"], row["remark"]
 
     return found
@@ -226,7 +225,7 @@ def without_a_chart(path):
     """Pixel size of the photograph beside one that shows no chart."""
     wall = np.random.default_rng(0).integers(0, 255, (200, 300), dtype=np.uint8)
     cv2.imwrite(str(path / "wall.png"), wall)
-    rows = surveys.image([path / "wall.png", samples.path("chart_photo")])
+    rows = commands.image([path / "wall.png", samples.path("chart_photo")])
     return rows["pixel_v_mm"][1], rows["remark"][0]
 
 

@@ -6,6 +6,7 @@ import pandas as pd
 import pytest
 
 from mmqa_lab import chart_image, widgets
+from mmqa_lab.widgets import jury
 
 CROPS = {name: np.linspace(0, 1, 6 * (9 + k)).reshape(6, -1) for k, name in enumerate("xyz")}
 
@@ -59,7 +60,7 @@ def test_jurors_share_a_file_and_see_only_their_own_state(form):
 def test_picture_is_the_crop_enlarged_without_interpolation(form):
     one = form()
     shown = cv2.imdecode(np.frombuffer(one.box.children[2].value, np.uint8), cv2.IMREAD_UNCHANGED)
-    zoom = widgets.LARGEST_ZOOM
+    zoom = jury.LARGEST_ZOOM
     assert shown.shape == (6 * zoom, 9 * zoom)
     for k in range(1, zoom):
         assert np.array_equal(shown[::zoom, ::zoom], shown[k::zoom, k::zoom])
@@ -70,7 +71,7 @@ def test_picture_is_the_crop_enlarged_without_interpolation(form):
 
 def test_without_a_screen_the_crop_is_shown(form, monkeypatch):
     shown = []
-    monkeypatch.setattr(widgets, "display", shown.append)
+    monkeypatch.setattr(jury, "display", shown.append)
     one = form()
     one._ipython_display_()
     assert shown[0].data == one.box.children[2].value

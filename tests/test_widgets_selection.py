@@ -12,6 +12,8 @@ from matplotlib.backend_bases import MouseEvent
 from mmqa_lab import plots, widgets
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.planes import fit_plane
+from mmqa_lab.widgets import selection
+from mmqa_lab.widgets.screen import LOCK
 
 # of ipympl's own toolbar
 pytestmark = pytest.mark.filterwarnings("ignore:Passing unrecognized arguments to super")
@@ -53,7 +55,7 @@ def test_the_first_rectangle_follows_a_strip(rng):
     strip = rng.uniform(-1, 1, (20_000, 3)) * [20, 1, 0]
     turned = strip @ [[0.8, 0.6, 0], [-0.6, 0.8, 0], [0, 0, 1]]
     tool = widgets.SelectionTool(turned)
-    assert tool.quality.area_polygon_m2 > 0.9 * 2 * widgets.WINDOW * 2  # all of the window
+    assert tool.quality.area_polygon_m2 > 0.9 * 2 * selection.WINDOW * 2  # all of the window
     box = tool._map.get_window_extent()
     height = np.ptp(tool._map.transData.transform(tool._selector.verts), axis=0)[1]
     assert height > 0.3 * box.width  # high enough to draw on
@@ -190,7 +192,7 @@ def test_a_polygon_that_selects_nothing_is_a_sentence_and_no_histogram(wall, ord
 def test_a_picture_is_not_drawn_while_it_changes(wall, screen):
     tool, drawn = widgets.SelectionTool(wall), threading.Event()
     draw = threading.Thread(target=lambda: (tool.canvas.draw(), drawn.set()))
-    with widgets.LOCK:
+    with LOCK:
         draw.start()
         assert not drawn.wait(0.3)
     assert drawn.wait(30)

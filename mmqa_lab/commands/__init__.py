@@ -1,10 +1,23 @@
 """The commands of ``mmqa``.
 
-``machine`` registers commands and writes what they return, ``surveys`` has those on a user's own
-data, ``laboratory`` those of studies, notebooks and tests.
+``machine`` registers commands and writes what they return. ``laboratory`` has those of studies,
+notebooks and tests, each other file those on a user's own data by their subject: a command reads
+files by ``io``, calls a room's function with arrays and returns a table. Its signature is its
+arguments, its docstring its help. Rooms are imported inside the commands, so that help is quick.
 """
 
-from mmqa_lab.commands import laboratory, surveys
+from mmqa_lab.commands import laboratory
+from mmqa_lab.commands.accuracy import accuracy, calibrate
+from mmqa_lab.commands.clouds import evaluate, info, pattern
+from mmqa_lab.commands.images import chart, image, radiometry
+from mmqa_lab.commands.lines import lhd
 from mmqa_lab.commands.machine import run
+from mmqa_lab.commands.maps import map_
+from mmqa_lab.commands.planning import plan
+from mmqa_lab.commands.poles import poles
+from mmqa_lab.commands.tenders import tender
 
-__all__ = ["laboratory", "run", "surveys"]
+__all__ = [
+    "accuracy", "calibrate", "chart", "evaluate", "image", "info", "laboratory", "lhd", "map_",
+    "pattern", "plan", "poles", "radiometry", "run", "tender",
+]  # fmt: skip

@@ -21,8 +21,8 @@ from mmqa_lab._checks import check_outputs, is_file
 from mmqa_lab._results import printed
 
 __all__ = [
-    "FIGURE_ENDINGS", "app", "as_json", "as_text", "check_ending", "heard", "progress", "run",
-    "sentence_of", "table", "write_figure",
+    "FIGURE_ENDINGS", "app", "as_json", "as_text", "check_ending", "each_file", "heard", "progress",
+    "run", "sentence_of", "table", "write_figure",
 ]  # fmt: skip
 
 # Columns of a terminal that tables fit into.
@@ -108,6 +108,33 @@ def heard(function, *arguments, **choices):
         except Exception as error:
             found = error
     return found, [*said]
+
+
+def each_file(files, unit, measured, *, column="file", remark="remarks"):
+    """Tables of files below each other; a file that fails has a row with the reason alone."""
+    import pandas as pd
+
+    tables, errors, lost = [], [], []
+    for file in progress(files, unit):
+        table, said = heard(measured, file)
+        if isinstance(table, Exception):
+            errors, lost = [*errors, table], [*lost, *said]
+            table = pd.DataFrame([{remark: sentence_of(table, file)}])
+        own = table[remark].fillna("") if remark in table else [""] * len(table)
+        told = [sentence.removeprefix(f"{file}: ") for sentence in said]
+        table[remark] = [" ".join([*(s for s in told if s not in o), o]).strip() for o in own]
+        table.insert(0, column, file.name)
+        tables.append(table)
+    if len(errors) == len(files):
+        for sentence in lost:
+            warnings.warn(sentence, stacklevel=2)
+        said = sentence_of(errors[0], files[0])
+        if len(files) > 1 and files[0].name not in said:
+            said = said.replace("Invalid", f"Invalid {files[0].name},", 1)
+        raise ValueError(said) from errors[0]
+    whole = pd.concat(tables, ignore_index=True)
+    whole.attrs["failed"] = len(errors)
+    return whole
 
 
 def _inputs(given, out):

@@ -21,8 +21,8 @@ from PIL import Image
 from mmqa_lab import plots
 from mmqa_lab.io import write_atomically
 from mmqa_lab.published.ledger import collect, summary
-from mmqa_lab.run import new_record, read_record, write_record
 from mmqa_lab.run.pages import ANSWERS, LEDGER, notebook_page, stored_answers
+from mmqa_lab.run.records import new_record, read_record, write_record
 
 __all__ = ["ENVIRONMENT", "code_hash", "execute", "inject", "run_study", "store"]
 

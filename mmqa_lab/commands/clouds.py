@@ -1,0 +1,154 @@
+"""The commands on clouds: what files contain, and the figures of one surface."""
+
+import re
+from pathlib import Path
+
+from mmqa_lab.commands.machine import (
+    FIGURE_ENDINGS,
+    check_ending,
+    each_file,
+    table,
+    write_figure,
+)
+
+__all__ = ["evaluate", "info", "pattern"]
+
+
+@table
+def info(clouds: list[Path], /):
+    """List what files contain: extent, unit, step, time, and columns with counts of their values.
+
+    Remarks tell what other commands leave out, count or refuse.
+
+    Parameters
+    ----------
+    clouds
+        Cloud files: LAS, LAZ, COPC, PLY or text; images; outlines; and folders of such files.
+    """
+    import pandas as pd
+
+    inside = [sorted(one.rglob("*")) if one.is_dir() else [one] for one in clouds]
+    files = [one for some in inside for one in some if one.is_file() or one in clouds]
+    if not files:
+        raise ValueError(f"Invalid folder {clouds[0]}: no file in it. Must contain one.")
+    return each_file(files, "file", lambda file: pd.DataFrame([_contents(file)]))
+
+
+def _contents(file):
+    """What a file contains, as a row."""
+    from dataclasses import replace
+
+    from mmqa_lab import io
+    from mmqa_lab.cloud import Cloud, describe
+
+    ending = file.suffix.lower()
+    if ending in io.IMAGE_ENDINGS:
+        bands, rows, columns = io.read_bands(file).shape
+        return {"image": f"{columns} x {rows} pixels, {bands} bands"}
+    if ending in io.OUTLINE_ENDINGS:
+        return describe(Cloud(io.read_polygon(file)))
+    parts = list(io.iterate_cloud(file))
+    whole = Cloud.concatenate(replace(part, crs=None) for part in parts)
+    return describe(replace(whole, crs=parts[0].crs if parts else None))
+
+
+@table
+def evaluate(
+    clouds: list[Path],
+    /,
+    *,
+    polygon: str | None = None,
+    rho0: float | None = None,
+    axes: str | None = None,
+    radius: float = 0.5,
+    intervals: bool = False,
+    detail: float | None = None,
+    out: Path | None = None,
+):
+    """Evaluate the points on one planar surface: density, sigma_MAD, d1..d4, f, g and e95.
+
+    The plane is the orthogonal regression plane of the points; d1..d4 are the medians of the sorted
+    distances to the nearest point in each of four quadrants, f = d4/d1 (Pfeifer et al. 2021, doi
+    10.3390/rs13020237). g compares the spacings across and along scan lines; 95 % of the places of
+    the surface have a point within e95. Without a polygon the surface is the whole cloud.
+
+    Parameters
+    ----------
+    clouds
+        Cloud files: LAS, LAZ, COPC, PLY or text.
+    polygon
+        The outline of the surface: a CSV or GeoJSON file, or "x,y,z; x,y,z; x,y,z".
+    rho0
+        The density asked for, points per m2. The table then says whether f matters.
+    axes
+        Axes of the quadrants: principal, horizontal, or the principal ones turned by degrees.
+    radius
+        Largest distance of a neighbour, m.
+    intervals
+        Print a row for each figure with its 95 % confidence interval, and a doubt where it has one.
+    detail
+        Size of details, m. Print the share of places that would show one by three points; the
+        picture marks the others.
+    out
+        Draw the last cloud into this file: .pdf, .png or .svg.
+    """
+    from mmqa_lab import chart_cloud, io
+
+    check_ending(out, "figure", FIGURE_ENDINGS)
+    turned = float(axes) if axes and re.fullmatch(r"-?(\d+\.?\d*|\.\d+)", axes) else axes
+    choices = {"axes": turned, "radius": radius, "rho0": rho0}
+    done = []
+
+    def measured(file):
+        cloud = io.read_cloud(file, columns=())
+        ring = None if polygon is None else io.read_polygon(polygon, crs=cloud.crs)
+        quality = chart_cloud.evaluate_cloud(cloud, polygon=ring, **choices)
+        frame = _with_doubts(quality) if intervals else quality.to_frame()
+        if detail is not None:
+            frame["details_seen"] = quality.details(detail)[0]
+        done.append(quality)
+        return frame.assign(remarks=" ".join(quality.remarks))
+
+    frame = each_file(clouds, "cloud", measured)
+    if out is not None:
+        write_figure(out, lambda: done[-1].plot(detail=detail))
+    return frame
+
+
+def _with_doubts(quality):
+    """The figures with their intervals, and which of them are not certain."""
+    from mmqa_lab import tender
+
+    table, said = quality.intervals(), []
+    for row in table.itertuples():
+        name = next((one for one in tender.QUANTITIES if one.startswith(row.figure)), row.figure)
+        known = {"low": row.low, "high": row.high, "remarks": " ".join(quality.remarks)}
+        said.append(tender.verdict(row.value, "<=", float("inf"), quantity=name, **known))
+    return table.assign(doubt=["" if one == "met" else one for one in said])
+
+
+@table
+def pattern(clouds: list[Path], /, *, polygon: str | None = None):
+    """Measure the scan pattern of a planar patch: profile spacing, profile angle, point spacing.
+
+    The patch must come from one pass of one scanner head. Profiles are told apart by scan line or
+    GPS time. After Cahalane et al. 2014 (doi 10.3390/s140609471), section 4.
+
+    Parameters
+    ----------
+    clouds
+        Cloud files: LAS, LAZ, COPC, PLY or text.
+    polygon
+        The outline of the patch: a CSV or GeoJSON file, or "x,y,z; x,y,z; x,y,z".
+    """
+    from mmqa_lab import chart_cloud, io, scan_pattern
+
+    def measured(file):
+        cloud = io.read_cloud(file)
+        if polygon is not None:
+            ring = io.read_polygon(polygon, crs=cloud.crs)
+            cloud = cloud[chart_cloud.inside_polygon(cloud, ring)]
+        numbers = {name: cloud[name] for name in ("gps_time", "scan_line") if name in cloud}
+        return scan_pattern.measure_pattern(cloud, **numbers).to_frame()
+
+    return each_file(clouds, "cloud", measured)

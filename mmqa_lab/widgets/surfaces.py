@@ -1,0 +1,195 @@
+"""The planes of clouds in a list and a picture, and the selection on the chosen one."""
+
+from __future__ import annotations
+
+import contextlib
+import warnings
+from collections.abc import Mapping
+from typing import Any
+
+import ipywidgets
+import numpy as np
+import pandas as pd
+import shapely
+from matplotlib.colors import to_rgba_array
+from matplotlib.figure import Figure
+
+from mmqa_lab import plots
+from mmqa_lab._checks import check_choice, check_points
+from mmqa_lab.plane_search import detect_planes
+from mmqa_lab.views import is_headless
+from mmqa_lab.widgets.screen import Halt, canvas_of, forget_zoom, in_turn
+from mmqa_lab.widgets.selection import SHOWN, SelectionTool
+
+__all__ = ["SurfaceTool"]
+
+# Most planes listed, those with the most points first: of at least this share of the points of the
+# largest. All can be chosen.
+LISTED, LISTED_SHARE = 12, 0.01
+
+# Largest distance of a click from a point of the plane that it chooses, pixels.
+NEAR_PX = 10
+
+# Colours of the other planes in the picture and in the list.
+TINTS = ("#56B4E9", "#009E73", "#E69F00", "#CC79A7", "#F0E442", "#999999")
+
+AXES = ("easting", "northing", "height")
+
+
+def _planes_of(points, tolerance, size):
+    """The planes of a cloud, of a size doubled until the cloud is dense enough and has some."""
+    largest = max(size, np.ptp(points, axis=0).max())
+    while size <= largest:
+        with contextlib.suppress(UserWarning), warnings.catch_warnings():
+            warnings.simplefilter("error", UserWarning)  # too thin for this size
+            if found := detect_planes(points, tolerance=tolerance, size=size):
+                return found
+        size *= 2
+    return []
+
+
+class SurfaceTool(SelectionTool):
+    """A list of planes in clouds beside a picture, and the selection tool for the chosen plane.
+
+    Parameters
+    ----------
+    clouds : dict of str to Cloud or array_like, shape (n, 3)
+        Points by name of the cloud, m.
+    tolerance, size : float
+        See :func:`mmqa_lab.plane_search.detect_planes`, m.
+    **choices
+        See :class:`SelectionTool`.
+
+    Attributes
+    ----------
+    name : str
+        Name of the chosen cloud.
+    patch : PlanePart
+        The chosen plane.
+    planes : DataFrame
+        ``cloud``, ``plane``, ``points``, ``area_m2``, ``slope_deg``, ``std_mm``, ``easting_m``,
+        ``northing_m``, ``height_m`` of all planes.
+    missing : list of str
+        A sentence for each cloud without planes; it is left out of the list.
+
+    Raises
+    ------
+    Halt
+        If no cloud has a plane of that size or larger.
+
+    Examples
+    --------
+    >>> flat = np.random.default_rng(0).uniform(0, 5, (1500, 3))
+    >>> tool = SurfaceTool({"corner": np.concatenate([flat * [1, 1, 0], flat * [1, 0, 1]])}, size=2)
+    >>> tool.planes["area_m2"].round().tolist(), tool.name
+    ([25.0, 25.0], 'corner')
+    """
+
+    def __init__(
+        self, clouds: Mapping, *, tolerance: float = 0.1, size: float = 0.5, **choices: Any
+    ):
+        self._points = {name: check_points(cloud) for name, cloud in clouds.items()}
+        self._patches, self.missing, rows = {}, [], []
+        for name, points in self._points.items():
+            patches = self._patches[name] = _planes_of(points, tolerance, size)
+            if not patches:
+                self.missing.append(f"{name}: no plane of {size:g} m or more.")
+            for number, patch in enumerate(patches):
+                rows.append({"cloud": name, "plane": number, **_described(patch, points)})
+        listed = [name for name, patches in self._patches.items() if patches]
+        if not listed:
+            named = ", ".join(self._points)
+            raise Halt(f"Invalid cloud {named}: no plane of {size:g} m or more. Must have one.")
+        self.planes = pd.DataFrame(rows)
+        self._scene = Figure(figsize=(5.6, 4.4), dpi=100, layout="constrained")
+        self._scene.get_layout_engine().set(rect=(0, 0, 0.93, 1))  # buttons are to the right
+        self._scene_canvas = canvas_of(self._scene)
+        self._scene.canvas.mpl_connect("button_press_event", self._clicked)
+        look = {"layout": {"width": "30em"}, "style": {"description_width": "4em"}}
+        self._clouds = ipywidgets.Dropdown(options=listed, description="cloud", **look)
+        self._clouds.observe(lambda change: self.choose(change["new"]), names="value")
+        self._list = ipywidgets.Select(description="plane", rows=LISTED, **look)
+        self._list.observe(lambda change: self._listed(change["new"]), names="value")
+        self.name, first = None, listed[0]
+        self._enter(first, 0)
+        super().__init__(self.surface(first), **choices)
+
+    @in_turn()
+    def choose(self, cloud: str, plane: int = 0) -> None:
+        """Choose a plane by the name of its cloud and its number in ``planes``."""
+        check_choice(cloud, "cloud", tuple(self._points))
+        self._enter(cloud, plane)
+        self.show(self.surface(cloud, plane))
+
+    def surface(self, cloud: str, plane: int = 0) -> np.ndarray:
+        """Return the points of a plane, shape (n, 3), m."""
+        return self._points[cloud][self._patches[cloud][plane].index]
+
+    def _enter(self, cloud, plane):
+        """Mark a plane in the picture; draw picture and list again if the cloud has changed."""
+        if cloud != self.name:
+            self.name = self._clouds.value = cloud
+            self._draw_scene()
+        self.number, self.patch = plane, self._patches[cloud][plane]
+        palette = to_rgba_array([*TINTS, "#DDDDDD", plots.COLOURS["vermilion"]])
+        place = 1 + (self._owner - 1) % (len(TINTS) - 1)  # the first tint is the largest plane's
+        place[self._owner == 0], place[self._owner < 0] = 0, -2
+        place[self._owner == plane] = -1
+        self._scene_dots.set_facecolor(palette[place])
+        shown = [number for _, number in self._list.options]
+        self._list.value = plane if plane in shown else None
+        self._scene.axes[0].set_title(f"{self.name}, plane {plane}")
+        self._scene.canvas.draw_idle()
+
+    def _draw_scene(self):
+        """Draw the chosen cloud along its shortest extent, and list its planes."""
+        points, patches = self._points[self.name], self._patches[self.name]
+        owner = np.full(len(points), -1)
+        for number, patch in enumerate(patches):
+            owner[patch.index] = number
+        step = 1 + len(points) // SHOWN
+        self._owner, shown = owner[::step], points[::step]
+        across, up = sorted(np.argsort(np.ptp(points, axis=0))[1:])
+        self._scene.clear()
+        ax = self._scene.add_subplot(aspect="equal")
+        self._scene_dots = ax.scatter(*shown[:, [across, up]].T, s=3, lw=0)
+        ax.set(xlabel=f"{AXES[across]} (m)", ylabel=f"{AXES[up]} (m)")
+        ax.ticklabel_format(useOffset=False, style="plain")
+        ax.locator_params(nbins=5)
+        forget_zoom(self._scene)
+        rows = self.planes[self.planes["cloud"] == self.name].head(LISTED)
+        rows = rows[rows["points"] >= LISTED_SHARE * rows["points"].max()].to_dict("records")
+        text = "{plane}: {area_m2:.1f} m², height {height_m:.1f} m, slope {slope_deg:.0f}°"
+        self.number = 0
+        self._list.options = [(text.format(**row), row["plane"]) for row in rows]
+
+    def _listed(self, plane):
+        """Choose a plane of the list."""
+        if plane not in (None, self.number):
+            self.choose(self.name, plane)
+
+    def _clicked(self, event):
+        """Choose the plane of the point nearest to a click; a click that zooms chooses nothing."""
+        if event.inaxes is None or getattr(event.canvas.toolbar, "mode", ""):
+            return
+        pixels = event.inaxes.transData.transform(self._scene_dots.get_offsets())
+        away = np.where(self._owner < 0, np.inf, np.hypot(*(pixels - (event.x, event.y)).T))
+        if away.min() <= NEAR_PX:
+            self.choose(self.name, int(self._owner[away.argmin()]))
+
+    def _pictures(self):
+        """The picture and the list above the polygon."""
+        side = [] if is_headless() else [ipywidgets.VBox([self._clouds, self._list])]
+        return [ipywidgets.HBox([self._scene_canvas, *side]) if side else self._scene, self.canvas]
+
+
+def _described(patch, points):
+    """The figures of a plane in the list and in the table."""
+    hull = shapely.convex_hull(shapely.multipoints(patch.plane.project(points[patch.index])))
+    return {
+        "points": len(patch),
+        "area_m2": hull.area,
+        "slope_deg": np.degrees(np.arccos(min(1.0, abs(patch.plane.normal[2])))),
+        "std_mm": 1000 * patch.sigma,
+        **{f"{AXES[k]}_m": patch.plane.centre[k] for k in range(3)},
+    }
