@@ -7,8 +7,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from mmqa_lab import io, samples
-from mmqa_lab.chart_image import ChartMap
-from mmqa_lab.chart_image.reading import Tones, read_pattern
+from mmqa_lab.chart_image import ChartMap, Tones, read_pattern
 from mmqa_lab.charts import LinePairs, decode
 
 PERIOD_PX = 8.83

@@ -5,8 +5,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
-from mmqa_lab.chart_image import ChartMap
-from mmqa_lab.chart_image.reading import find_tones, read_pattern
+from mmqa_lab.chart_image import ChartMap, find_tones, read_pattern
 from mmqa_lab.charts import Bar, Layout, LinePairs, decode
 from mmqa_lab.simulate.cameras import Optics, Sensor, photograph
 

@@ -9,8 +9,7 @@ from photographed import RealPairs
 from rendered import centre_contrast, grey, pattern_case
 
 from mmqa_lab import chart_image, charts, samples
-from mmqa_lab.chart_image import ChartMap, PanoramaCamera, reading
-from mmqa_lab.chart_image.placing import align
+from mmqa_lab.chart_image import ChartMap, PanoramaCamera, align
 from mmqa_lab.simulate import cameras
 
 CHART = charts.imaging_chart()
@@ -127,7 +126,7 @@ def test_nothing_below_nyquist_is_ever_resolved(width, sigma, direction, seed):
     ("width", "sigma", "blur"), [(2.6, 0.5, 0.0), (4.0, 0.8, 1.5), (9.0, 0.4, 3.0)]
 )
 def test_expected_contrast_is_the_integral_over_the_bars(width, sigma, blur):
-    found = reading.expected_contrast(width, sigma, blur)
+    found = chart_image.expected_contrast(width, sigma, blur)
     # harmonics beyond the seventh
     assert float(found) == pytest.approx(centre_contrast(width, sigma, blur), abs=0.005)
 
@@ -229,9 +228,9 @@ def test_an_evaluated_image_has_every_figure(oblique):
 
 def test_brightness_changes_no_verdict():
     photo, image = photo_of(6.5, noise=0.01)
-    first = reading.find_tones(image, CHART, photo.chart_map)
+    first = chart_image.find_tones(image, CHART, photo.chart_map)
     slope = 1 + 0.1 * np.linspace(-1, 1, image.shape[1])
-    second = reading.find_tones(0.4 * image * slope + 0.1, CHART, photo.chart_map)
+    second = chart_image.find_tones(0.4 * image * slope + 0.1, CHART, photo.chart_map)
     a, b = (chart_image.read_pairs(one, CHART, photo.chart_map) for one in (first, second))
     assert (a["resolved"] == b["resolved"]).all()
     assert b["contrast"].to_numpy() == pytest.approx(
@@ -242,9 +241,9 @@ def test_brightness_changes_no_verdict():
 
 def test_clipped_images_say_so():
     photo, image = photo_of(8.0)
-    assert reading.find_tones(image, CHART, photo.chart_map).clipped_share == 0
+    assert chart_image.find_tones(image, CHART, photo.chart_map).clipped_share == 0
     bright = np.clip(2 * image, 0, 1)
-    assert reading.find_tones(bright, CHART, photo.chart_map).clipped_share > 0.3
+    assert chart_image.find_tones(bright, CHART, photo.chart_map).clipped_share > 0.3
 
 
 # --- the test site

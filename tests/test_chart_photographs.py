@@ -7,7 +7,7 @@ from camera import CONDITIONS, linear, shoot
 from rendered import step_seen_by_pixel
 
 from mmqa_lab import chart_image, charts
-from mmqa_lab.chart_image.placing import align
+from mmqa_lab.chart_image import align
 from mmqa_lab.studies.chart_images import photo_case
 
 CHART = charts.imaging_chart()

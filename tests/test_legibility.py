@@ -5,7 +5,6 @@ import pandas as pd
 import pytest
 
 from mmqa_lab import chart_image, charts, published
-from mmqa_lab.chart_image import rules
 from mmqa_lab.simulate import cameras
 
 
@@ -71,7 +70,7 @@ def judged():
 
 def test_pixels_per_capital_agree_with_the_printed_marks_in_sample_and_mostly_out_of_it():
     seen = judged()
-    found = rules.expected_marks(40 / seen["pixel_mm"])
+    found = chart_image.expected_marks(40 / seen["pixel_mm"])
     assert len(seen) == 12
     assert (found["mark"].to_numpy() == seen["mark"]).all()
     assert (found["best"] <= found["mark"]).all()
@@ -93,7 +92,7 @@ def test_pixels_per_capital_agree_with_the_printed_marks_in_sample_and_mostly_ou
 def test_marks_are_open_between_the_photographs_that_were_judged():
     # C at 5 m is b with 40 mm / 3.8 mm, B backward a with 40 mm / 3.5 mm, printed to 0.1 mm
     pixels = [40 / 3.85 - 0.01, 40 / 3.85 + 0.01, 40 / 3.45 - 0.01, 40 / 3.45 + 0.01]
-    found = rules.expected_marks(pixels)
+    found = chart_image.expected_marks(pixels)
     assert found["best"].tolist() == ["b", "a", "a", "a"]
     assert found["worst"].tolist() == ["c", "c", "b", "a"]
 
@@ -105,13 +104,13 @@ def test_colours_fringe_at_the_limit_of_resolution_of_a_mosaic_and_nowhere_else(
     sensor = cameras.Sensor(noise=0.0, bayer=True)
     optics = cameras.Optics(0.3)
     taken = cameras.photograph(layout, view, optics=optics, sensor=sensor)
-    found = rules.colour_fringes(taken.image, layout, taken.chart_map).set_index("name")
+    found = chart_image.colour_fringes(taken.image, layout, taken.chart_map).set_index("name")
     standing = found[found["direction"] == "h"]
     assert 1.8 < standing.loc[standing["fringe"].idxmax(), "width_px"] < 4
     assert standing["fringe"].max() > 1.4 * standing["fringe"]["pairs_h_40"]
     grey = cameras.photograph(layout, view, optics=optics, sensor=cameras.Sensor(noise=0.0))
     neutral = np.dstack([0.9 * grey.image, grey.image, 0.8 * grey.image])
-    none = rules.colour_fringes(neutral, layout, grey.chart_map)
+    none = chart_image.colour_fringes(neutral, layout, grey.chart_map)
     assert none["fringe"].max() < 1e-3  # a cast of the light is no fringe
 
 

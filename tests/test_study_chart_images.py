@@ -8,7 +8,7 @@ from conftest import spoiled
 from rendered import centre_contrast
 from scipy.optimize import brentq
 
-from mmqa_lab import bench, published
+from mmqa_lab import bench, chart_image, published
 from mmqa_lab.published import ledger
 from mmqa_lab.studies import chart_images as study
 
@@ -34,7 +34,7 @@ def test_limit_lies_a_little_above_that_of_the_noise_free_contrast(sigma, blur):
 
 
 def test_limit_never_falls_below_beats():
-    assert study.pair_limit(0.1) >= study.reading.SMALLEST_PAIR_PX
+    assert study.pair_limit(0.1) >= chart_image.SMALLEST_PAIR_PX
 
 
 @pytest.fixture(scope="module")

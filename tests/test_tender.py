@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmqa_lab import tender
+from mmqa_lab.tender import tables
 
 CRITERIA = pd.DataFrame(
     [
@@ -166,7 +167,7 @@ def test_dashes_of_line_pairs_fail_and_that_of_a_pixel_size_is_not_measured():
     ],
 )
 def test_bounds_decide_where_they_can(low, high, verdict):
-    criteria = pd.DataFrame([("c", "q", ">=", 10)], columns=tender.CRITERIA)
+    criteria = pd.DataFrame([("c", "q", ">=", 10)], columns=tables.CRITERIA)
     figure = {"system": "S", "quantity": "q", "value": None, "low": low, "high": high}
     assert tender.verdicts(criteria, pd.DataFrame([figure]))["verdict"].item() == verdict
 
@@ -176,7 +177,7 @@ def test_bounds_decide_where_they_can(low, high, verdict):
 )
 def test_f_does_not_matter_where_points_are_dense_enough(d4, verdict):
     """Section 3.3: d1 and d4 at most sqrt(1 / 3000) = 18.26 mm."""
-    criteria = pd.DataFrame([("h", "f", "<", 2.0)], columns=tender.CRITERIA)
+    criteria = pd.DataFrame([("h", "f", "<", 2.0)], columns=tables.CRITERIA)
     figures = [("S", "f", 2.5, 5), ("S", "d1_mm", 7.0, 5), ("S", "d4_mm", d4, 5)]
     results = pd.DataFrame(figures, columns=["system", "quantity", "value", "distance_m"])
     found = tender.verdicts(criteria.assign(rho0_per_m2=3000), results)
@@ -198,7 +199,7 @@ def test_f_does_not_matter_where_points_are_dense_enough(d4, verdict):
     ],
 )
 def test_an_uncertain_exemption_leaves_open_what_f_does_not_meet(low, high, f, verdict):
-    criteria = pd.DataFrame([("h", "f", "<", 2.0, 3000)], columns=[*tender.CRITERIA, "rho0_per_m2"])
+    criteria = pd.DataFrame([("h", "f", "<", 2.0, 3000)], columns=[*tables.CRITERIA, "rho0_per_m2"])
     figures = [("f", f, f - 0.1, f + 0.1), ("d1_mm", 7.0, 6.0, 8.0), ("d4_mm", low, low, high)]
     results = pd.DataFrame(figures, columns=["quantity", "value", "low", "high"])
     found = tender.verdicts(criteria, results.assign(system="S"))
@@ -246,8 +247,8 @@ MARK_WORDS = [(">=", "b", "ab"), ("<=", "b", "ab"), (">", "b", "a"), ("<", "b", 
 
 @pytest.mark.parametrize(("relation", "threshold", "good"), MARK_WORDS)
 def test_better_marks_meet_what_is_asked_whichever_sign_is_written(relation, threshold, good):
-    criteria = pd.DataFrame([("t", "legibility", relation, threshold)], columns=tender.CRITERIA)
-    results = pd.DataFrame([(f"S{m}", "legibility", m) for m in "abc"], columns=tender.RESULTS)
+    criteria = pd.DataFrame([("t", "legibility", relation, threshold)], columns=tables.CRITERIA)
+    results = pd.DataFrame([(f"S{m}", "legibility", m) for m in "abc"], columns=tables.RESULTS)
     found = tender.verdicts(criteria, results)
     assert found["verdict"].tolist() == ["met" if m in good else "not met" for m in "abc"]
     assert (found["margin"] >= 0).tolist() == [m <= threshold for m in "abc"]
@@ -272,7 +273,7 @@ COARSE = "Coordinates are in steps of 10 mm: too coarse for sigma_MAD 8.6 mm and
     ],
 )
 def test_a_remark_that_names_a_figure_makes_it_not_certain(quantity, remark, verdict):
-    criteria = pd.DataFrame([("c", quantity, "<=", 100)], columns=tender.CRITERIA)
+    criteria = pd.DataFrame([("c", quantity, "<=", 100)], columns=tables.CRITERIA)
     row = {"system": "S", "quantity": quantity, "value": 9.0, "remarks": remark}
     table = tender.verdicts(criteria, pd.DataFrame([row]))
     assert table["verdict"].item() == verdict
@@ -293,16 +294,16 @@ def test_remarks_of_a_cloud_reach_the_verdict():
 def test_an_interval_without_width_says_nothing():
     assert tender.verdict(22.36068, "<", 30, low=22.36058, high=22.36068) == "not certain"
     assert tender.verdict(22.36, "<", 30) == "met"
-    criteria = pd.DataFrame([("c", "d4_mm", "<", 30)], columns=tender.CRITERIA)
+    criteria = pd.DataFrame([("c", "d4_mm", "<", 30)], columns=tables.CRITERIA)
     row = {"system": "S", "quantity": "d4_mm", "value": 20.0, "low": 20.0, "high": 20.0}
     assert tender.verdicts(criteria, pd.DataFrame([row]))["verdict"].item() == "not certain"
 
 
 def test_spacings_that_a_remark_doubts_exempt_nothing():
-    columns = [*tender.CRITERIA, "rho0_per_m2"]
+    columns = [*tables.CRITERIA, "rho0_per_m2"]
     criteria = pd.DataFrame([("h", "f", "<", 2.0, 3000)], columns=columns)
     figures = [("S", "f", 2.5), ("S", "d1_mm", 7.0), ("S", "d4_mm", 18.0)]
-    results = pd.DataFrame(figures, columns=tender.RESULTS)
+    results = pd.DataFrame(figures, columns=tables.RESULTS)
     assert tender.verdicts(criteria, results)["verdict"].item() == "exempt"
     remarks = ["", COARSE, ""]
     assert (

@@ -7,8 +7,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_positive
-from mmqa_lab.chart_image.placing import ChartMap
-from mmqa_lab.chart_image.reading import Tones, read_pattern, resolution
+from mmqa_lab.chart_image import ChartMap, Tones, read_pattern, resolution
 from mmqa_lab.charts import LinePairs
 
 __all__ = ["read_bars", "resolving_power"]
@@ -40,7 +39,7 @@ def read_bars(
     -------
     DataFrame
         The groups with ``contrast``, ``counted`` (bars), ``phase_deg``, ``strip_share``,
-        ``resolved`` and the ``reason`` why not, as of ``chart_image.reading``.
+        ``resolved`` and the ``reason`` why not, as of ``chart_image.read_pairs``.
 
     Raises
     ------

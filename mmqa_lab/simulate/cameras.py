@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
-from mmqa_lab.chart_image.placing import ChartMap, PanoramaCamera
+from mmqa_lab.chart_image import ChartMap, PanoramaCamera
 from mmqa_lab.charts import Layout, encode, reflectance
 
 __all__ = ["ChartMap", "Optics", "PanoramaCamera", "Photo", "Sensor", "chart_view", "photograph"]

@@ -6,7 +6,6 @@ import numpy as np
 
 from mmqa_lab import chart_image, charts, published
 from mmqa_lab.bench import Comparison, grid
-from mmqa_lab.chart_image import reading
 from mmqa_lab.charts import Bar, Layout, LinePairs, decode
 from mmqa_lab.published import ledger
 from mmqa_lab.simulate import cameras
@@ -96,7 +95,7 @@ def pair_limit(sigma_px, blur_px=0.0, *, seed=0):
     optics = cameras.Optics(sigma_px, travel=(blur_px * c, blur_px * s, 0.0))
     photo = cameras.photograph(layout, there, optics=optics, margin=3, seed=seed)
     place = photo.chart_map.within(*rng.normal(0, MAP_ERROR_PX, 2))
-    levels = reading.find_tones(photo.image, layout, place)
+    levels = chart_image.find_tones(photo.image, layout, place)
     return chart_image.resolution(chart_image.read_pairs(levels, layout, place), "h").width_mm
 
 
@@ -142,8 +141,8 @@ def photo_case(system, distance_m, view, spread_px=FITTED_PX, exposure_ms=0.0, s
     seen = chart_image.evaluate_image(image, layout, place)
     blurs = [_blur_px(photo.chart_map, travel_mm, layout[name]) for name in seen.pairs["name"]]
     width_px = seen.pairs["width_px"].to_numpy()
-    left = reading.expected_contrast(width_px, spread_px, blurs)
-    truth = {"carried": (left >= reading.SMALLEST_GAP) & (width_px >= 2)}
+    left = chart_image.expected_contrast(width_px, spread_px, blurs)
+    truth = {"carried": (left >= chart_image.SMALLEST_GAP) & (width_px >= 2)}
     for k, places in enumerate(([[500, 50]], [[154, 500], [856, 500]])):  # lying, standing bars
         sizes = photo.chart_map.pixel_sizes_mm(np.array(places, dtype=float))
         truth[f"pixel_{'hv'[k]}_mm"] = sizes[:, k].mean()
@@ -168,7 +167,7 @@ def every_gap(seen):
 
 def contrast_alone(seen):
     """Accept a pattern if bars and gaps differ by a tenth of the contrast, with either sign."""
-    return seen.pairs["contrast"].abs() >= reading.SMALLEST_GAP
+    return seen.pairs["contrast"].abs() >= chart_image.SMALLEST_GAP
 
 
 def enough_pixels(seen):
@@ -215,10 +214,10 @@ def ledger_rows(rows, what, *, value, kind, note):
 
 def _steps_chart(sigma_px, blur_px):
     """A chart of line pairs around the limit; a millimetre of the chart is a pixel."""
-    widths = np.geomspace(60, reading.SMALLEST_PAIR_PX, 2000)
-    poor = reading.expected_contrast(widths, sigma_px, blur_px) < reading.SMALLEST_GAP
-    closed = widths[max(np.argmax(poor) - 1, 0)] if poor.any() else reading.SMALLEST_PAIR_PX
-    start = max(closed / LIMIT_STEP, reading.SMALLEST_PAIR_PX)
+    widths = np.geomspace(60, chart_image.SMALLEST_PAIR_PX, 2000)
+    poor = chart_image.expected_contrast(widths, sigma_px, blur_px) < chart_image.SMALLEST_GAP
+    closed = widths[max(np.argmax(poor) - 1, 0)] if poor.any() else chart_image.SMALLEST_PAIR_PX
+    start = max(closed / LIMIT_STEP, chart_image.SMALLEST_PAIR_PX)
     pairs, low = [], 10.0
     for width in start * LIMIT_STEP ** np.arange(LIMIT_STEPS):
         name = f"pairs_{width:.3f}"

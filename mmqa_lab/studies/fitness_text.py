@@ -7,8 +7,7 @@ import pandas as pd
 from scipy.ndimage import map_coordinates
 
 from mmqa_lab import bench as benches
-from mmqa_lab.chart_image import ChartMap, read_pairs, resolution
-from mmqa_lab.chart_image.reading import Tones, find_tones
+from mmqa_lab.chart_image import ChartMap, Tones, find_tones, read_pairs, resolution
 from mmqa_lab.charts import Bar, Layout, LinePairs, Text, reflectance
 from mmqa_lab.mtf import fit_edge
 from mmqa_lab.simulate import cameras

@@ -13,7 +13,7 @@ import pandas as pd
 from IPython.display import Image, display
 
 from mmqa_lab._checks import check_choice
-from mmqa_lab.chart_image.rules import MARKS, check_marks
+from mmqa_lab.chart_image import MARKS, check_marks
 from mmqa_lab.charts import encode
 from mmqa_lab.io import write_atomically
 from mmqa_lab.views import is_headless

@@ -1,10 +1,4 @@
-"""The rules of the test: where charts stand, which images count, how well texts can be read.
-
-Pfeifer et al. 2021, section 4.1: three pairs of boards stand along one line, one pair parallel to
-it, two pairs across it. The vehicle passes on straight lines 5 m and 10 m beside them, at 40 km/h
-or faster. Forward and backward views are of boards across the path. Here the first pair faces the
-vehicle as it comes and the last as it leaves, which the paper does not print. The control points of
-the paper's site are left out.
+"""How well the texts of a photographed chart can be read.
 
 The jury's marks are the reference for legibility. Pixels per capital and the quality index of line
 pairs stand in for them; they have columns of their own and are never merged with the marks.
@@ -23,18 +17,14 @@ from numpy.typing import ArrayLike
 from mmqa_lab import published
 from mmqa_lab._checks import check_choice, check_columns, check_positive, refuse
 from mmqa_lab._results import Shown
-from mmqa_lab.chart_image.placing import ChartMap, four_corners
-from mmqa_lab.chart_image.reading import find_tones
+from mmqa_lab.chart_image.maps import ChartMap
+from mmqa_lab.chart_image.tones import find_tones
 from mmqa_lab.charts import Bar, Layout, LinePairs, Text
 
 __all__ = [
-    "MARKS", "PLACE_COLUMNS", "Agreement", "Crop", "agreement", "chart_site", "check_marks",
-    "choose_images", "colour_fringes", "expected_marks", "quality_index", "text_crops",
+    "MARKS", "Agreement", "Crop", "agreement", "check_marks", "colour_fringes", "expected_marks",
+    "quality_index", "text_crops",
 ]  # fmt: skip
-
-ALONG, AHEAD, BEHIND = "orthogonal", "forward", "backward"
-
-PLACE_COLUMNS = ["easting_m", "northing_m", "height_m"]
 
 MARKS = ("a", "b", "c")
 """a: each letter on its own can definitely be read; b: the text is legible; c: it is not (Pfeifer
@@ -45,62 +35,6 @@ CROP_SIDES, CROP_BELOW, CROP_ABOVE = 0.5, 0.35, 0.2
 
 TEXT_MM, ROUNDING_MM = 40.0, 0.05
 """Capital height that was judged, and half of the last digit of printed pixel sizes."""
-
-
-@dataclass(frozen=True, eq=False)
-class Crop:
-    """One line of text as the image shows it.
-
-    Parameters
-    ----------
-    name, text : str
-        Of the chart's element.
-    image : array, shape (rows, columns)
-        Linear light, upright however the photograph is turned, its cells as small as the pixels.
-    cap_px : float
-        Height of the capitals, pixels of the photograph.
-
-    Examples
-    --------
-    >>> from mmqa_lab.chart_image import ChartMap
-    >>> from mmqa_lab.charts import imaging_chart, reflectance
-    >>> layout = imaging_chart()
-    >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
-    >>> chart_map = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
-    >>> crop = text_crops(image, layout, chart_map)[0]
-    >>> crop.text, round(crop.cap_px * 4), crop.image.ndim
-    ('Mo.-Fr. (werkt). v. 6³⁰-19ʰ', 40, 2)
-    """
-
-    name: str
-    text: str
-    image: np.ndarray
-    cap_px: float
-
-
-@dataclass(frozen=True, eq=False)
-class Agreement(Shown):
-    """What a jury decided, and how well its members agree.
-
-    Parameters
-    ----------
-    verdict : DataFrame
-        Per element: ``element``, ``mark`` of the majority (None for a tie), ``n`` jurors,
-        ``unanimous``.
-    fleiss_kappa : float
-        Over the elements that all jurors marked; NaN when all of them got one and the same mark,
-        where kappa is not defined, and for a single juror.
-    unanimous_share : float
-        Share of the elements with one mark only.
-    """
-
-    verdict: pd.DataFrame
-    fleiss_kappa: float
-    unanimous_share: float
-
-    def to_frame(self) -> pd.DataFrame:
-        """Return the verdict."""
-        return self.verdict
 
 
 def text_crops(image: np.ndarray, layout: Layout, chart_map: ChartMap) -> list[Crop]:
@@ -150,106 +84,37 @@ def text_crops(image: np.ndarray, layout: Layout, chart_map: ChartMap) -> list[C
     return crops
 
 
-def chart_site() -> pd.DataFrame:
-    """Return the test site: three pairs of boards on a line that runs north at easting 0.
-
-    The vehicle drives north, west of the line. The first pair faces south, to be seen ahead; the
-    second stands along the line and faces west; the third faces north, to be seen behind. The
-    boards of 1 m x 1 m stand 1 m apart in a pair, their middle is 1.5 m high, and the pairs are
-    10 m apart. The paper does not say how far apart pairs are, how high they stand and which way
-    they face.
-
-    Returns
-    -------
-    DataFrame
-        A row for each of six boards: ``chart``, ``kind`` (image or point), ``view`` and ``corners``
-        (array (4, 3) from the lower left as one looks at it: easting, northing, height, metres).
-
-    References
-    ----------
-    Pfeifer et al. 2021, section 4.1. doi:10.3390/rs13020237
-
-    Examples
-    --------
-    >>> chart_site()["chart"].tolist()[:3]
-    ['image forward', 'point forward', 'image orthogonal']
-    """
-    # to the right as one looks at the board
-    rightward = {AHEAD: (1.0, 0.0, 0.0), ALONG: (0.0, -1.0, 0.0), BEHIND: (-1.0, 0.0, 0.0)}
-    rows = []
-    for number, (view, right) in enumerate(rightward.items()):
-        step = np.array([0.0, 1.0, 0.0] if view == ALONG else [1.0, 0.0, 0.0])
-        for place, kind in enumerate(("image", "point")):
-            middle = np.array([0.0, 10.0 * number, 1.5]) + 2 * place * step
-            aside, up = np.array(right) / 2, np.array([0.0, 0.0, 0.5])
-            corners = middle + [-aside - up, aside - up, aside + up, up - aside]
-            rows.append((f"{kind} {view}", kind, view, corners))
-    return pd.DataFrame(rows, columns=["chart", "kind", "view", "corners"])
-
-
-def choose_images(stations: pd.DataFrame, corners: ArrayLike, *, distance: float) -> pd.DataFrame:
-    """Choose the image of a board by the paper's rules.
-
-    For a board across the path it is the closest image at the required distance or farther (section
-    3.2). For a board along the path it is the image that the vehicle takes as it passes, which may
-    be somewhat nearer or farther (section 4.1).
+def expected_marks(cap_px: ArrayLike) -> pd.DataFrame:
+    """Return the marks that a jury would give by the pixels per capital height.
 
     Parameters
     ----------
-    stations : DataFrame
-        Places of the images, ``easting_m``, ``northing_m``, ``height_m``, in the order of a
-        straight drive; two or more.
-    corners : array_like, shape (4, 3)
-        Of the board, from the lower left counterclockwise, metres.
-    distance : float
-        Required distance between camera and middle of the board, metres.
+    cap_px : array_like, shape (n,)
+        Height of the capitals, pixels.
 
     Returns
     -------
     DataFrame
-        One row: ``view`` (orthogonal, forward or backward, as the board stands to the drive),
-        ``station`` (row of ``stations``; None where no image qualifies), ``distance_m`` and
-        ``off_normal_deg``, the level angle between the line of sight and the board's normal.
+        ``cap_px``, ``mark`` (thresholds half way between the published photographs of neighbouring
+        marks), ``best`` and ``worst`` (thresholds at the first and at the second of these
+        photographs, whose pixel sizes are rounded).
 
-    Raises
-    ------
-    ValueError
-        If the distance is not above zero, or there are fewer than two stations.
-
-    References
-    ----------
-    Pfeifer et al. 2021, sections 3.2 and 4.1. doi:10.3390/rs13020237
+    Notes
+    -----
+    Two thresholds, a from 11.0 and b from 9.0 pixels, are fitted to the twelve marks of Table 1 and
+    agree with all of them. Predicted from the eleven others, 10 of the 12 are right. One photograph
+    alone has mark b.
 
     Examples
     --------
-    >>> north = [-24.0, -16.0, -8.0, 0.0, 8.0, 16.0]
-    >>> stations = pd.DataFrame({"easting_m": -5.0, "northing_m": north, "height_m": 1.5})
-    >>> boards = chart_site().set_index("chart")["corners"]
-    >>> found = choose_images(stations, boards["image forward"], distance=10)
-    >>> found[["view", "station"]].to_numpy().tolist(), found["distance_m"].round(1).item()
-    ([['forward', 1]], 16.8)
-    >>> found = choose_images(stations, boards["image orthogonal"], distance=10)
-    >>> found["distance_m"].round(1).item()
-    5.4
+    >>> expected_marks([30.0, 11.3, 9.5, 5.0])[["mark", "best", "worst"]].values.tolist()
+    [['a', 'a', 'a'], ['a', 'a', 'b'], ['b', 'b', 'c'], ['c', 'c', 'c']]
     """
-    distance = check_positive(distance, "distance", unit="m")
-    check_columns(stations, PLACE_COLUMNS, "stations")
-    refuse(len(stations) < 2, "stations", f"{len(stations)} given", "two or more")
-    corners = four_corners(corners, columns=3)
-    right, up = corners[[1, 3]] - corners[0] + corners[2] - corners[[3, 1]]
-    right, up = right / np.linalg.norm(right), up / np.linalg.norm(up)
-    normal = np.cross(right, up)
-    away = stations[PLACE_COLUMNS].to_numpy(dtype=float) - corners.mean(axis=0)
-    view = _view(right, normal, away)
-    angle = np.degrees(np.arctan2(np.abs(away @ right), away @ normal))
-    seen = {"distance_m": np.linalg.norm(away, axis=1), "off_normal_deg": angle}
-    seen = pd.DataFrame(seen, index=stations.index)[away @ normal > 0]
-    if view != ALONG:
-        seen = seen[seen["distance_m"] >= distance]
-    if seen.empty:
-        return pd.DataFrame([{"view": view, "station": None, **dict.fromkeys(seen, np.nan)}])
-    station = seen["off_normal_deg" if view == ALONG else "distance_m"].idxmin()
-    return pd.DataFrame([{"view": view, "station": station, **seen.loc[station]}])
+    table = pd.DataFrame({"cap_px": np.atleast_1d(np.asarray(cap_px, dtype=float))})
+    for name, limits in _limits().iterrows():
+        steps = (table[["cap_px"]].to_numpy() < limits.to_numpy()).sum(axis=1)
+        table[name] = np.array(MARKS, dtype=object)[steps]
+    return table
 
 
 def agreement(marks: pd.DataFrame) -> Agreement:
@@ -339,48 +204,6 @@ def quality_index(cap_mm: float, width_mm: float | np.ndarray) -> float | np.nda
     return 0.75 * check_positive(cap_mm, "cap_mm", unit="mm") / width_mm
 
 
-def _view(right, normal, places):
-    """How a straight drive sees a board: as it passes, ahead, or behind."""
-    travel = places[-1] - places[0]
-    facing = travel @ normal
-    if abs(facing) <= abs(travel @ right):
-        return ALONG
-    return AHEAD if facing < 0 else BEHIND
-
-
-def expected_marks(cap_px: ArrayLike) -> pd.DataFrame:
-    """Return the marks that a jury would give by the pixels per capital height.
-
-    Parameters
-    ----------
-    cap_px : array_like, shape (n,)
-        Height of the capitals, pixels.
-
-    Returns
-    -------
-    DataFrame
-        ``cap_px``, ``mark`` (thresholds half way between the published photographs of neighbouring
-        marks), ``best`` and ``worst`` (thresholds at the first and at the second of these
-        photographs, whose pixel sizes are rounded).
-
-    Notes
-    -----
-    Two thresholds, a from 11.0 and b from 9.0 pixels, are fitted to the twelve marks of Table 1 and
-    agree with all of them. Predicted from the eleven others, 10 of the 12 are right. One photograph
-    alone has mark b.
-
-    Examples
-    --------
-    >>> expected_marks([30.0, 11.3, 9.5, 5.0])[["mark", "best", "worst"]].values.tolist()
-    [['a', 'a', 'a'], ['a', 'a', 'b'], ['b', 'b', 'c'], ['c', 'c', 'c']]
-    """
-    table = pd.DataFrame({"cap_px": np.atleast_1d(np.asarray(cap_px, dtype=float))})
-    for name, limits in _limits().iterrows():
-        steps = (table[["cap_px"]].to_numpy() < limits.to_numpy()).sum(axis=1)
-        table[name] = np.array(MARKS, dtype=object)[steps]
-    return table
-
-
 def colour_fringes(image: np.ndarray, layout: Layout, chart_map: ChartMap) -> pd.DataFrame:
     """Measure the colours that black and white line pairs take on in a colour photograph.
 
@@ -420,6 +243,62 @@ def colour_fringes(image: np.ndarray, layout: Layout, chart_map: ChartMap) -> pd
         fringe = float(values[inside].mean()) if inside.any() else np.nan
         rows.append((pairs.name, pairs.direction, pairs.pair, pairs.pair / pixel_mm, fringe))
     return pd.DataFrame(rows, columns=["name", "direction", "width_mm", "width_px", "fringe"])
+
+
+@dataclass(frozen=True, eq=False)
+class Crop:
+    """One line of text as the image shows it.
+
+    Parameters
+    ----------
+    name, text : str
+        Of the chart's element.
+    image : array, shape (rows, columns)
+        Linear light, upright however the photograph is turned, its cells as small as the pixels.
+    cap_px : float
+        Height of the capitals, pixels of the photograph.
+
+    Examples
+    --------
+    >>> from mmqa_lab.chart_image import ChartMap
+    >>> from mmqa_lab.charts import imaging_chart, reflectance
+    >>> layout = imaging_chart()
+    >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
+    >>> chart_map = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> crop = text_crops(image, layout, chart_map)[0]
+    >>> crop.text, round(crop.cap_px * 4), crop.image.ndim
+    ('Mo.-Fr. (werkt). v. 6³⁰-19ʰ', 40, 2)
+    """
+
+    name: str
+    text: str
+    image: np.ndarray
+    cap_px: float
+
+
+@dataclass(frozen=True, eq=False)
+class Agreement(Shown):
+    """What a jury decided, and how well its members agree.
+
+    Parameters
+    ----------
+    verdict : DataFrame
+        Per element: ``element``, ``mark`` of the majority (None for a tie), ``n`` jurors,
+        ``unanimous``.
+    fleiss_kappa : float
+        Over the elements that all jurors marked; NaN when all of them got one and the same mark,
+        where kappa is not defined, and for a single juror.
+    unanimous_share : float
+        Share of the elements with one mark only.
+    """
+
+    verdict: pd.DataFrame
+    fleiss_kappa: float
+    unanimous_share: float
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return the verdict."""
+        return self.verdict
 
 
 @lru_cache(maxsize=1)

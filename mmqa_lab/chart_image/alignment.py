@@ -1,0 +1,224 @@
+"""The alignment of a chart: print and photograph, compared without their local light."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from mmqa_lab._checks import check_image, refuse
+from mmqa_lab.chart_image.bends import SPREADS, straight, with_bend
+from mmqa_lab.chart_image.maps import plain
+from mmqa_lab.charts import LinePairs, reflectance
+
+__all__ = ["CERTAIN", "SIGMAS_PX", "Level", "align"]
+
+WHERE = "place of the chart"
+
+SMALLEST_CORRELATION = 0.6
+"""Smallest correlation of chart and image after alignment; unrelated pictures stay below 0.4."""
+
+CERTAIN = 0.8
+"""Correlation that needs no other guess; share of it that a map without a bend must reach."""
+
+SIGMAS_PX = (0.6, 1.2, 2.0)
+"""Point spreads of the print, pixel included, in the alignment: the one that fits best counts."""
+
+MIDDLE, FINEST = 160, 800
+"""Cells along a side, on the way and at most."""
+
+LIGHT, LIGHT_CELLS = 0.06, 100
+"""Reach of local means and spreads over the chart's side, and the cells a side on which they are
+taken."""
+
+LARGEST_BEND = 0.06
+"""How far lines may be bent over their length."""
+
+STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 60, 1e-6)
+
+
+def align(image, layout, chart_map):
+    """Improve a map by the whole printed chart.
+
+    In the chart's frame, photograph and print are each divided by their local mean and spread;
+    OpenCV's enhanced correlation finds the homography between them, on finer and finer cells. A
+    cubic displacement is added where lens or board bend lines clearly more than chance does. Fine
+    line pairs are left out.
+
+    Parameters
+    ----------
+    image : array_like, shape (rows, columns)
+        Linear light.
+    layout : Layout
+    chart_map : ChartMap
+        Right to a few pixels.
+
+    Returns
+    -------
+    ChartMap
+
+    Raises
+    ------
+    ValueError
+        If the chart is not found there: a correlation below 0.6, also where
+        lines are bent by more than a cubic displacement takes.
+
+    References
+    ----------
+    Baker and Matthews 2004, doi:10.1023/B:VISI.0000011205.11775.fd.
+    Evangelidis and Psarakis 2008, doi:10.1109/TPAMI.2008.113.
+
+    Examples
+    --------
+    >>> from mmqa_lab.chart_image import ChartMap
+    >>> from mmqa_lab.charts import imaging_chart, reflectance
+    >>> layout = imaging_chart()
+    >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
+    >>> chart_map = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> wrong = ChartMap(chart_map.matrix + [[0, 0, 0.8], [0, 0, -0.6], [0, 0, 0]])
+    >>> right = align(image, layout, wrong)
+    >>> off = np.abs(right.pixels(layout.corners()) - chart_map.pixels(layout.corners()))
+    >>> bool(off.max() < 0.1)
+    True
+    """
+    image = check_image(image).astype(np.float32)
+    found, correlation = _aligned(image, layout, chart_map, bent=True)
+    if found.bend is not None:  # it must show the print better than a homography alone
+        level = Level(image, layout, found, MIDDLE)
+        flat, alone = level.aligned(plain(found, layout))
+        if alone > CERTAIN * level.correlation(found):
+            flat, alone = _aligned(image, layout, flat, bent=False)
+            found, correlation = (flat, alone) if alone >= correlation else (found, correlation)
+    bent = found.bent_share(layout) if found.bend is not None else 0.0
+    lines = f"straight lines are bent by {bent:.1%} of their length"
+    told = "or a camera file must tell how the lens bends (is the chart there?)"
+    refuse(bent > LARGEST_BEND, WHERE, lines, f"less than {LARGEST_BEND:.0%}, {told}")
+    alike = f"its print correlates by {correlation:.2f} with the image"
+    there = "(is the chart there, not mirrored, and are its lines straight?)"
+    differs = not correlation >= SMALLEST_CORRELATION
+    refuse(differs, WHERE, alike, f"{SMALLEST_CORRELATION} or more {there}")
+    return replace(found, source=f"{found.source}, aligned")
+
+
+def _aligned(image, layout, chart_map, *, bent):
+    """An aligned map, a homography alone if it may not be bent, and its correlation."""
+    finest = min(int(layout.width / _pixel_mm(layout, chart_map)), FINEST)
+    for along in sorted({min(along, finest) for along in (30, 60, MIDDLE)}):
+        level = Level(image, layout, chart_map, along)
+        if along > 30:
+            chart_map, _ = level.aligned(chart_map)
+        chart_map = with_bend(level, chart_map) if bent else chart_map
+    chart_map = straight(chart_map, layout)
+    level = Level(image, layout, chart_map, max(finest, 12))
+    chart_map, _ = level.aligned(chart_map)
+    sigma = max(SIGMAS_PX, key=lambda sigma: level.behind(sigma).correlation(chart_map))
+    chart_map, _ = level.behind(sigma).aligned(chart_map)
+    chart_map = straight(with_bend(level, chart_map) if bent else chart_map, layout)
+    return chart_map, level.correlation(chart_map)
+
+
+def _pixel_mm(layout, chart_map):
+    """Millimetres of a pixel, in the median of the corners."""
+    return float(np.median(chart_map.pixel_sizes_mm(layout.corners())))
+
+
+class Level:
+    """Print and photograph in the chart's frame, on so many cells a side.
+
+    Both are divided by their own local mean and spread, so that light and shadow do not count.
+    """
+
+    def __init__(self, image, layout, chart_map, along):
+        outline, size = chart_map.outline(layout.corners()), np.array(image.shape[::-1])
+        self.size, self.pixel_mm = (layout.width, layout.height), _pixel_mm(layout, chart_map)
+        self.cell = layout.width / along
+        soft = max(self.cell / self.pixel_mm / 2.5, 0.3)
+        # a homography may move by a tenth of the chart
+        margin = 3 * soft + 0.1 * np.ptp(outline, axis=0) + 2
+        first = np.clip(outline.min(axis=0) - margin, 0, size - 2).astype(int)
+        last = np.clip(outline.max(axis=0) + margin, first + 2, size).astype(int)
+        window = image[first[1] : last[1], first[0] : last[0]].astype(np.float32)
+        self.image = cv2.GaussianBlur(window, (0, 0), soft)
+        self.first, self.last = first, size - 1
+        self.print = _print(layout, self.cell)
+        self.trusted = _trusted(layout, self.pixel_mm, self.cell, self.print.shape)
+        y, x = (np.indices(self.print.shape) + 0.5) * self.cell
+        self.places = np.column_stack([x.ravel(), y.ravel()])
+        self.behind(SIGMAS_PX[0])
+
+    def behind(self, sigma_px):
+        """The level itself, its print as behind a point spread."""
+        blur = np.hypot(sigma_px * self.pixel_mm / self.cell, 0.5)
+        self.printed = _standardised(cv2.GaussianBlur(self.print, (0, 0), blur))
+        return self
+
+    def seen(self, chart_map):
+        """The photograph as a map puts it, and which cells count."""
+        pixels = chart_map.pixels(self.places)
+        inside = ((pixels >= 0) & (pixels <= self.last)).all(axis=1).reshape(self.printed.shape)
+        pixels = np.float32(pixels - self.first).reshape(*self.printed.shape, 2)
+        how = {"interpolation": cv2.INTER_LINEAR, "borderMode": cv2.BORDER_REPLICATE}
+        seen = _standardised(cv2.remap(self.image, pixels, None, **how))
+        return seen, (self.trusted * inside).astype(np.uint8)
+
+    def correlation(self, chart_map):
+        """Of print and photograph."""
+        return _correlation(self.printed, *self.seen(chart_map))
+
+    def aligned(self, chart_map):
+        """A map after OpenCV's enhanced correlation, and the correlation."""
+        seen, trusted = self.seen(chart_map)
+        start = np.eye(3, dtype=np.float32)
+        try:
+            _, warp = cv2.findTransformECC(
+                self.printed, seen, start, cv2.MOTION_HOMOGRAPHY, STOP, trusted, 1
+            )
+        except cv2.error:  # nothing in common
+            warp = np.eye(3)
+        size = {"dsize": seen.shape[::-1], "flags": cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP}
+        moved = cv2.warpPerspective(seen, warp, **size)
+        half = self.cell / 2
+        to_mm = np.array([[self.cell, 0, half], [0, self.cell, half], [0, 0, 1]])
+        change = to_mm @ warp @ np.linalg.inv(to_mm)
+        better = replace(chart_map, matrix=chart_map.matrix @ change)
+        return better, _correlation(self.printed, moved, trusted)
+
+
+def _correlation(printed, seen, trusted):
+    """Correlation of two standardised images where they are trusted."""
+    one, two = (np.clip(part, -SPREADS, SPREADS)[trusted > 0] for part in (seen, printed))
+    return float(one @ two / max(np.linalg.norm(one) * np.linalg.norm(two), 1e-12))
+
+
+@lru_cache(maxsize=4)
+def _print(layout, cell):
+    """The reflectance of a chart, kept for the next steps."""
+    return reflectance(layout, cell=cell)
+
+
+def _standardised(tones):
+    """Tones less their local mean, in local spreads."""
+    off = tones - _around(tones)
+    spread = np.sqrt(np.maximum(_around(off**2), 0))
+    return off / np.maximum(spread, 0.1 * spread.max() + 1e-12)
+
+
+def _around(tones):
+    """Local means of an image of the chart; they change slowly."""
+    size = [min(side, LIGHT_CELLS) for side in tones.shape[::-1]]
+    small = cv2.resize(tones, size, interpolation=cv2.INTER_AREA)
+    small = cv2.GaussianBlur(small, (0, 0), LIGHT * size[0])
+    return cv2.resize(small, tones.shape[::-1], interpolation=cv2.INTER_LINEAR)
+
+
+def _trusted(layout, pixel_mm, cell, shape):
+    """Which cells may take part in the alignment."""
+    trusted = np.ones(shape, dtype=np.float32)
+    for pairs in layout.of_kind(LinePairs):
+        if pairs.pair / pixel_mm < 2.5:  # aliased, they would mislead
+            low, high = pairs.corners()[[0, 2]] / cell
+            low, high = np.maximum(low - 2, 0).astype(int), np.ceil(high + 2).astype(int)
+            trusted[low[1] : high[1], low[0] : high[0]] = 0
+    return trusted

@@ -1,0 +1,66 @@
+"""What speaks against the figures of a photograph of a chart."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from mmqa_lab._results import sentences
+from mmqa_lab.chart_image.line_pairs import HIDDEN, MOVED
+from mmqa_lab.charts import Text
+
+__all__ = ["doubts", "hidden_texts"]
+
+SAID_BEND = 0.01
+"""How far lines are bent over their length, from where on it is said."""
+
+FEWEST_PIXELS, SMALLEST_SPREAD, LEGIBLE, LOST = 6, 0.02, 0.3, 0.12
+"""Parts of a text, half as wide as its capitals are high, that count: pixels, and variance of the
+print. Contrast of a text that is seen; a part with that share of it is hidden."""
+
+
+def doubts(quality):
+    """Reasons to doubt pixel sizes and widths of an ImageQuality, sentences."""
+    clipped, residual = quality.tones.clipped_share, quality.residual_px
+    charts, pairs = quality.chart_map.charts, quality.pairs
+    unseen = quality.sizes.loc[quality.sizes["pixel_mm"].isna(), "name"]
+    hidden = pairs.loc[pairs["reason"] == HIDDEN, "name"].tolist()
+    hidden += hidden_texts(quality.tones, quality.layout, quality.chart_map)
+    moved = (pairs["reason"] == MOVED) & (pairs["width_px"] > 4)
+    moved = pairs.loc[moved & (pairs["contrast"].abs() > 0.1), "name"]
+    # blurred pairs are half white, half black in linear light; a display's curve adds 0.2
+    blurred = pairs["contrast"].between(0.02, 0.7) & (pairs["reason"] != HIDDEN)
+    tone = pairs.loc[blurred, "mean"].median()
+    unread = [one for one in "hv" if np.isnan(quality.resolution(one).width_mm)]
+    bent = 0 if quality.chart_map.bend is None else quality.chart_map.bent_share(quality.layout)
+    toned = f"blurred line pairs have a mean tone of {tone:.2f} for 0.50: is gamma right?"
+    return sentences(
+        (bent > SAID_BEND, f"straight lines are bent by {bent:.1%}, the map follows them"),
+        (charts > 1, f"{charts} charts are seen, the largest is measured"),
+        (clipped > 0.05, f"{clipped:.0%} of the plain pixels are clipped"),
+        (residual > 1, f"bars end {residual:.1f} px from their places"),
+        (len(unseen), f"an end is not seen, its place is the map's: {', '.join(unseen)}"),
+        (len(hidden), f"hidden: {', '.join(hidden)}"),
+        (len(moved), f"bars are not where they are printed: {', '.join(moved)}"),
+        (abs(tone - 0.5) > 0.12, toned),
+        *((True, f"no line pairs are resolved in direction {one}") for one in unread),
+    )
+
+
+def hidden_texts(tones, layout, chart_map):
+    """Names of the texts of which a part does not look like the print, though the others do."""
+    names = []
+    for text in (one for one in layout.of_kind(Text) if one.name.startswith("text_")):
+        places, seen = tones.near(chart_map, text.corners())
+        _, printed = replace(tones, values=tones.printed).near(chart_map, text.corners())
+        part = np.maximum((places[:, 0] - text.x) / (text.cap / 2), 0).astype(int)
+        n = np.maximum(np.bincount(part), 1)
+        level, light, square, both = (
+            np.bincount(part, values) / n for values in (printed, seen, printed**2, printed * seen)
+        )
+        spread = square - level**2
+        clear = (n >= FEWEST_PIXELS) & (spread > SMALLEST_SPREAD)
+        gain = ((both - level * light) / np.maximum(spread, 1e-9))[clear]
+        typical = np.median(gain) if len(gain) else 0
+        if typical > LEGIBLE and gain.min() < LOST * typical:
+            names.append(text.name)
+    return names

@@ -1,0 +1,138 @@
+"""How a chart is found in an image: by its coded targets, by its long bars, or at its corners.
+
+Targets and bars say where a chart may be. :func:`mmqa_lab.chart_image.align` then says where it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mmqa_lab._checks import check_image
+from mmqa_lab.chart_image.bars import by_bars
+from mmqa_lab.chart_image.maps import (
+    ChartMap,
+    LensCamera,
+    PanoramaCamera,
+    four_corners,
+    plain,
+    side,
+)
+from mmqa_lab.chart_image.targets import by_chart, decoded
+from mmqa_lab.charts import Layout, Marker
+
+__all__ = ["locate"]
+
+SHRUNK_PIXELS, OTHERS_PIXELS = 25e6, 6e6
+"""Targets are sought in larger images than the first made that small first; a second chart without
+targets in images of the last one: there it must be 50 pixels wide."""
+
+
+def locate(
+    image: ArrayLike | None,
+    layout: Layout,
+    *,
+    corners: ArrayLike | None = None,
+    camera: PanoramaCamera | LensCamera | None = None,
+    offset: tuple[float, float] = (0.0, 0.0),
+) -> ChartMap:
+    """Find a chart by its coded targets and long bars, or at its corners.
+
+    OpenCV decodes the targets; the corners of three or four give the map. Where fewer are read,
+    dark streaks are paired as if they were two of the long bars, and the best pair is aligned.
+
+    Parameters
+    ----------
+    image : array_like, shape (rows, columns)
+        Grey values, any unit. None will do where corners are given.
+    layout : Layout
+    corners : array_like, shape (4, 2), optional
+        Column and row of the lower left, lower right, upper right and upper left corner of the
+        printed chart.
+    camera : PanoramaCamera or LensCamera, optional
+        What bends rays into pixels: a panorama, or a lens that bends lines.
+    offset : (float, float)
+        Column and row of the whole image where this window begins.
+
+    Returns
+    -------
+    ChartMap
+
+    Raises
+    ------
+    ValueError
+        If there are not four corners in this order, or neither targets nor long bars are found.
+
+    Notes
+    -----
+    The six modules of a target need about 2.5 pixels each; the long bars are seen when they are
+    two pixels wide. Another chart, whose targets cannot be decoded, is counted where it is 50
+    pixels wide in the image made smaller to 6 megapixels.
+
+    Examples
+    --------
+    >>> from mmqa_lab.charts import imaging_chart, reflectance
+    >>> layout = imaging_chart()  # 1000 mm x 1000 mm
+    >>> image = np.pad(255 * reflectance(layout, cell=4)[::-1], 20, constant_values=255)
+    >>> found = locate(image.astype(np.uint8), layout)
+    >>> found.source, bool(np.abs(found.pixels([[0, 0]]) - [19.5, 269.5]).max() < 0.5)
+    ('4 coded targets', True)
+    >>> chart_map = locate(None, layout, corners=[[100, 350], [350, 350], [350, 100], [100, 100]])
+    >>> chart_map.pixels([[0, 0], [500, 500]]).round(6).tolist()
+    [[100.0, 350.0], [225.0, 225.0]]
+    """
+    place = partial(ChartMap.from_points, camera=camera, offset=offset)
+    if corners is not None:
+        corners = four_corners(corners, columns=2)
+        return place(layout.corners(), corners, source="corners")
+    grey, long_bars = _stretched(image), {"source": "long bars", "camera": camera, "offset": offset}
+    markers = {marker.identifier: marker for marker in layout.of_kind(Marker)}
+    shrunk = min((SHRUNK_PIXELS / grey.size) ** 0.5, 1)
+    for times in (shrunk, 1) if shrunk < 1 else (1,):
+        found = decoded(grey, markers, times) if markers else []
+        groups = by_chart(found, markers, layout)
+        if len(dict(found)) == len(found) > 2 and len(groups) > 1:  # a lens moves them apart
+            groups = [found]
+        if groups and len(groups[0]) > 2:
+            # OpenCV counts from the upper left corner, clockwise
+            places = np.concatenate([markers[key].corners()[::-1] for key, _ in groups[0]])
+            seen = np.concatenate([corners for _, corners in groups[0]])
+            source = f"{len(groups[0])} coded targets"
+            chart_map = place(places, seen, source=source)
+            other = _other(grey, chart_map, layout)
+            charts = sum(len(group) > 1 for group in groups), 1 + (other.charts if other else 0)
+            if other and side(other, layout) > side(chart_map, layout):
+                chart_map = plain(other, layout, **long_bars)
+            return replace(chart_map, charts=max(charts))
+        chart_map = by_bars(grey, layout, times) if times == shrunk else None
+        if chart_map is not None:
+            return plain(chart_map, layout, **long_bars)
+    seen = f"{len(found)} of {len(markers)} coded targets and no long bars found"
+    must = "show the whole chart, not cut by the border, or its corners must be given"
+    raise ValueError(f"Invalid image: {seen}. Must {must}.")
+
+
+def _other(grey, chart_map, layout):
+    """The largest of other charts, whose targets may be too small or blurred, or None.
+
+    Paints over the one that is known.
+    """
+    outline = chart_map.outline(layout.corners()).round().astype(np.int32)
+    factor = min((OTHERS_PIXELS / grey.size) ** 0.5, 1)
+    return by_bars(cv2.fillPoly(grey, [outline], cv2.mean(grey)), layout, factor)
+
+
+def _stretched(image):
+    """An image as bytes from its darkest to its brightest grey values."""
+    image = check_image(image, convert=False)
+    if image.dtype not in (np.uint8, np.uint16):
+        image = image.astype(np.float32)
+    step = 1 + int(np.sqrt(image.size / 1e6))
+    limits = np.percentile(image[::step, ::step], [0.5, 99.5]).astype(image.dtype)
+    low, high = map(float, limits)
+    scale = 255 / max(high - low, 1e-12)
+    return cv2.convertScaleAbs(np.clip(image, *limits), alpha=scale, beta=-low * scale)

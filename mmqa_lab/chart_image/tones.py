@@ -1,0 +1,173 @@
+"""The image of a chart in units of print: 0 where its black is, 1 where its white is.
+
+Pixels are taken as they are, at the places on the chart where the map puts them; nothing is
+resampled.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from mmqa_lab._checks import check_image, refuse
+from mmqa_lab.charts import reflectance
+
+__all__ = ["Tones", "find_tones"]
+
+SMALLEST_CONTRAST = 3.0
+"""Multiples of the noise by which white must differ from black."""
+
+MESH_PX, RIM_PX = 4, 1.5
+"""Pixels between those whose places are calculated; how deep plain white lies in white."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tones:
+    """The image of a chart in units of print.
+
+    Parameters
+    ----------
+    values : array, shape (rows, columns)
+        0 at black, 1 at white; NaN outside of the chart.
+    noise : float
+        Standard deviation of a pixel, in the same unit: the larger one of black and white.
+    clipped_share : float
+        Share of the plain pixels at zero or full scale.
+    odd, printed : array, optional
+        How far plain white is from white, NaN where none is printed; the print, usually blurred.
+    """
+
+    values: np.ndarray
+    noise: float
+    clipped_share: float = 0.0
+    odd: np.ndarray | None = None
+    printed: np.ndarray | None = None
+
+    def near(self, chart_map, outline):
+        """Return the places on the chart, mm, and values of the known pixels around an outline."""
+        corners, size = chart_map.pixels(outline), np.array(self.values.shape[::-1])
+        first = np.clip(np.floor(corners.min(axis=0)).astype(int), 0, size)
+        last = np.clip(np.ceil(corners.max(axis=0)).astype(int) + 1, 0, size)
+        columns, rows = np.meshgrid(np.arange(first[0], last[0]), np.arange(first[1], last[1]))
+        pixels = np.column_stack([columns.ravel(), rows.ravel()])
+        values = self.values[rows.ravel(), columns.ravel()]
+        known = np.isfinite(values)
+        return chart_map.chart(pixels[known]), values[known]
+
+
+def find_tones(image, layout, chart_map):
+    """Bring an image into units of print by the plain areas of the chart.
+
+    White is what the plain white around a place shows: light falls off across a chart, and shadows
+    lie on it. Black is one level for the whole chart.
+
+    Parameters
+    ----------
+    image : array_like, shape (rows, columns)
+        Linear light, full scale 1.
+    layout : Layout
+    chart_map : ChartMap
+
+    Returns
+    -------
+    Tones
+
+    Raises
+    ------
+    ValueError
+        If the image is no grey image, or black and white cannot be told apart at these places.
+
+    Examples
+    --------
+    >>> from mmqa_lab.chart_image import ChartMap
+    >>> from mmqa_lab.charts import imaging_chart, reflectance
+    >>> layout = imaging_chart()
+    >>> image = reflectance(layout, cell=4)[::-1]  # pixels of 4 mm
+    >>> chart_map = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
+    >>> found = find_tones(0.05 + 0.5 * image, layout, chart_map)
+    >>> bool(np.allclose(found.values, image, atol=1e-6))
+    True
+    """
+    image = check_image(image)
+    inside, spilt, to_white, to_black = _printed(layout, chart_map, image.shape)
+    white, black = _plainest(to_white), _plainest(to_black)
+    field = _local(image, white, np.sqrt(inside.sum()))
+    # black pixels see some white spilt into them
+    ground = float(((image - spilt * field)[black] / (1 - spilt[black])).mean())
+    contrast = np.maximum(field - ground, 1e-12)
+    values = np.where(inside, (image - ground) / contrast, np.nan)
+    noise = max(_spread((values - spilt)[mask]) for mask in (white, black))
+    light = float(field[white].mean())
+    step = light - ground
+    # rounding alone makes a contrast of a plain image without noise
+    clear = step > 1e-9 * abs(light) and SMALLEST_CONTRAST * noise < 1
+    shown = f"white exceeds black by {step:.3g} at a noise of {noise * step:.3g}"
+    must = f"{SMALLEST_CONTRAST:g} times the noise or more (is the chart there?)"
+    refuse(not clear, "chart", shown, must)
+    plain = image[white | black]
+    odd = np.where(inside & (to_white >= RIM_PX), np.abs(values - 1), np.nan)
+    clipped = float(((plain >= 1) | (plain <= 0)).mean())
+    return Tones(values, noise, clipped, odd, np.where(inside, spilt, np.nan))
+
+
+def _printed(layout, chart_map, shape):
+    """Whether each pixel lies on the chart, the tone it would see, its depth in white and black.
+
+    Depths are in pixels.
+    """
+    # places at every fourth pixel, one beyond the image too, and lines between them
+    rows, columns = (np.arange(-MESH_PX, side + MESH_PX, MESH_PX) for side in shape)
+    grid = np.stack(np.meshgrid(columns, rows), axis=-1) + (MESH_PX - 1) / 2
+    mesh = chart_map.chart(grid.reshape(-1, 2)).reshape(grid.shape)
+    places = cv2.resize(mesh, None, fx=MESH_PX, fy=MESH_PX, interpolation=cv2.INTER_LINEAR)
+    places = places[MESH_PX : MESH_PX + shape[0], MESH_PX : MESH_PX + shape[1]]
+    sizes = chart_map.pixel_sizes_mm([[layout.width / 2, layout.height / 2]])
+    cell = max(sizes.min() / 4, layout.width / 4000)
+    printed = reflectance(layout, cell=cell)
+    # a usual point spread, pixel included: white spills into black where bars are thin
+    seen = cv2.GaussianBlur(printed, (0, 0), 0.65 * sizes.max() / cell)
+    depths = [_depth(np.abs(printed - tone) < 1e-3) * (cell / sizes.max()) for tone in (1.0, 0.0)]
+    places = np.float32(places / cell - 0.5)
+    constant = {"interpolation": cv2.INTER_LINEAR, "borderMode": cv2.BORDER_CONSTANT}
+    constant["borderValue"] = -1.0
+    at_pixels = [cv2.remap(part, places, None, **constant) for part in (seen, *depths)]
+    return (at_pixels[0] > -1e-3, *at_pixels)  # blurred black may fall below 0
+
+
+def _depth(mask):
+    """Distance of each cell from the nearest one outside of the mask or of the chart, cells."""
+    framed = cv2.copyMakeBorder(mask.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
+    return cv2.distanceTransform(framed, cv2.DIST_L2, 5)[1:-1, 1:-1]
+
+
+def _plainest(depth):
+    """The pixels that lie deepest in a tone, enough of them if possible."""
+    for clearance in (3.0, 2.5, 2.0, 1.5, 1.2, 1.0, 0.7, 0.5, 0.3):
+        plain = depth >= clearance
+        if plain.sum() >= 30:
+            break
+    return plain
+
+
+def _local(image, white, side):
+    """The level of white at every pixel: weighted means of the white pixels around it.
+
+    Near ones count, as far as there are some; the farther ones fill the gaps between them.
+    """
+    # light changes slowly: a hundred cells along the chart tell enough
+    size = [max(int(100 * length / side), 2) for length in image.shape[::-1]]
+    small = {"dsize": [min(pair) for pair in zip(size, image.shape[::-1], strict=True)]}
+    small |= {"interpolation": cv2.INTER_AREA}
+    share = cv2.resize(white.astype(float), **small)
+    light = cv2.resize(np.where(white, image, 0.0), **small)
+    field = np.full(share.shape, image[white].mean())
+    for reach in (25.0, 8.0, 3.0):  # hundredths of the chart's side
+        weight, total = (cv2.GaussianBlur(part, (0, 0), reach) for part in (share, light))
+        few = 0.5 / (2 * np.pi * reach**2)  # half a cell outweighs what is farther away
+        field = (total + few * field) / (weight + few)
+    return cv2.resize(field, image.shape[::-1], interpolation=cv2.INTER_LINEAR)
+
+
+def _spread(residuals):
+    """Standard deviation by the median absolute deviation."""
+    return float(1.4826 * np.median(np.abs(residuals - np.median(residuals))))

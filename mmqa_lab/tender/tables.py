@@ -1,0 +1,146 @@
+"""The tables of a tender, criteria and results, as they may be written, and their checks."""
+
+import operator
+import re
+
+import numpy as np
+import pandas as pd
+
+from mmqa_lab._checks import check_choice, check_columns, check_known, check_number, refuse
+from mmqa_lab.chart_image import MARKS
+
+__all__ = [
+    "CRITERIA", "PLACE", "QUANTITIES", "RELATIONS", "checked_criteria", "checked_results",
+    "doubted", "is_mark", "rank_of",
+]  # fmt: skip
+
+RELATIONS = {">=": operator.ge, ">": operator.gt, "<=": operator.le, "<": operator.lt}
+
+SPACINGS_MM = (0.5, 1e5)
+"""What spacings can be; a value below it is one in metres."""
+
+QUANTITIES = {
+    "density_per_m2": (0.05, 1e7, "density"),
+    "sigma_mad_mm": (0.05, 1e4, "sigma_MAD|noise"),
+    "std_mm": (0.05, 1e4, "std|noise"),
+    **{f"d{k}_mm": (*SPACINGS_MM, f"d{k}") for k in (1, 2, 3, 4)},
+    "e95_mm": (*SPACINGS_MM, "e95"),
+    "f": (0.1, 1e3, "f|d1|d4"),
+    "g": (0.1, 1e3, "g"),
+    "pixel_mm": (0.05, 1e4, "pixel_h|pixel_v|pixel size"),
+    "w_mm": (0.05, 1e4, "w_h|w_v|width"),
+    **{f"legibility{size}": (0, 2, "legibility") for size in ("", "_40mm", "_60mm")},
+}
+"""Quantities: the least and the largest value above zero that can be, and the words by which a
+remark names the figure."""
+
+CRITERIA = ("criterion", "quantity", "relation", "threshold")
+
+RESULTS = ("system", "quantity", "value")
+
+PLACE = ["distance_m", "view", "direction"]
+
+OPTIONAL = (*PLACE, "sigma", "low", "high", "remarks", "rho0_per_m2")
+"""Columns that criteria or results may have."""
+
+NOTES = ("set", "unit", "n", "source", "note")
+"""Columns that say more and decide nothing."""
+
+WORDS = {"view": ("orthogonal", "forward", "backward"), "direction": ("h", "v")}
+"""Views of a chart; directions in which lengths in the image are measured."""
+
+
+def checked_criteria(criteria):
+    """Criteria checked and with every column."""
+    criteria = _whole(criteria, CRITERIA, ("distance_m", "rho0_per_m2"), "criteria")
+    for twice in criteria.loc[criteria["criterion"].duplicated(), "criterion"]:
+        refuse(True, "criteria", f"{twice!r} twice", "distinct")
+    for row in criteria.itertuples():
+        check_choice(row.relation, f"relation of {row.criterion!r}", tuple(RELATIONS))
+        name = f"threshold of {row.criterion!r}"
+        refuse(np.isnan(rank_of(row.threshold, name)), name, "none", "given")
+        _check_unit(row.threshold, row.quantity, name)
+        _check_unit(row.rho0_per_m2, "density_per_m2", "rho0_per_m2")
+    return criteria
+
+
+def checked_results(results):
+    """Results checked and with every column."""
+    results = results.rename(columns={"remark": "remarks"})
+    results = _whole(results, RESULTS, ("distance_m", "sigma", "low", "high"), "results")
+    for sigma in results["sigma"].dropna():
+        check_number(sigma, "sigma", low=0)
+    spelt = results["system"].drop_duplicates()
+    for system in spelt[spelt.str.casefold().duplicated()]:
+        refuse(True, "system", repr(system), "spelt alike in all its rows")
+    for row in results.itertuples():
+        name = f"{row.quantity} of {row.system}"
+        rank = rank_of(row.value, name)
+        beyond = rank < row.low or rank > row.high or row.low > row.high
+        ends = f"low {row.low:g}, high {row.high:g}"
+        refuse(beyond, f"{name} {row.value!r}", ends, "between them")
+        _check_unit(row.value, row.quantity, name)
+    return results
+
+
+def _whole(frame, needed, numbers, what):
+    """A copy without empty rows and with every column: words empty, numbers NaN where not given."""
+    check_columns(frame, needed, what)
+    for name in frame.columns[~frame.columns.isin([*needed, *OPTIONAL, *NOTES])]:
+        check_known(name, f"column of {what}", (*needed, *OPTIONAL, *NOTES))
+    frame = frame.reset_index(drop=True).replace(r"^\s*$", np.nan, regex=True).dropna(how="all")
+    refuse(frame.empty, what, "no rows", "one or more")
+    missing = [name for name in (*WORDS, "remarks", *numbers) if name not in frame]
+    frame = frame.assign(**dict.fromkeys(missing, np.nan))
+    for name in [*needed[:2], *WORDS, "remarks"]:
+        empty = frame[name].isna()
+        lacks = name in needed and empty.any()
+        refuse(lacks, what, f"no {name} in row {empty.idxmax() + 1}", "one")
+        frame[name] = frame[name].astype(object).where(~empty, "").astype(str).str.strip()
+    for name, known in WORDS.items():
+        for word in frame[name].unique():
+            check_known(word, name, ("", *known))
+    for name in numbers:
+        given = frame[name].astype(object).map(_step_of_mark)
+        frame[name] = pd.to_numeric(given, errors="coerce")
+        bad = frame[name].isna() & given.notna()
+        where = f"{given[bad.idxmax()]!r} in row {bad.idxmax() + 1}"
+        refuse(bad.any(), f"{name} in {what}", where, "a number")
+    return frame
+
+
+def _step_of_mark(value):
+    """Steps of a mark from a; anything else as it is."""
+    return float(MARKS.index(value.strip())) if is_mark(value) else value
+
+
+def is_mark(value):
+    """Whether a value is a mark a, b, c."""
+    return isinstance(value, str) and value.strip() in MARKS
+
+
+def _check_unit(value, quantity, name):
+    """Raise where a known quantity cannot have this value, as one in another unit."""
+    value = rank_of(value, name)
+    low, high, _ = QUANTITIES.get(quantity, (-np.inf, np.inf, ""))
+    if value != 0 and not np.isnan(value):
+        check_number(value, name, low=low, high=high, unit=f"in the unit of {quantity}")
+
+
+def doubted(quantity, remarks):
+    """Whether a remark names the figure."""
+    words = QUANTITIES.get(quantity, (0, 0, re.escape(quantity) or r"\b\B"))[2]
+    return re.search(rf"\b({words})\b", remarks) is not None
+
+
+def rank_of(value, name):
+    """A figure as a number, marks as steps from a; NaN for none."""
+    if value is None or value == "":
+        return np.nan
+    try:
+        number = float(_step_of_mark(value))
+    except (TypeError, ValueError):
+        raise ValueError(f"Invalid {name} {value!r}. Must be a number or a mark a, b, c.") from None
+    if np.isinf(number):
+        raise ValueError(f"Invalid {name} {value!r}. Must be finite, or empty where not measured.")
+    return number
