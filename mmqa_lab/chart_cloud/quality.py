@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -17,6 +17,7 @@ from mmqa_lab import stats
 from mmqa_lab._checks import check_positive
 from mmqa_lab._results import Shown
 from mmqa_lab.chart_cloud.doubts import is_below_step, is_by_chance
+from mmqa_lab.metrics.pattern import Pattern
 from mmqa_lab.planes import Plane
 from mmqa_lab.spacing import (
     DirectionalSpacing,
@@ -85,7 +86,7 @@ class CloudQuality(Shown):
     remarks: tuple[str, ...]
     plane: Plane = field(repr=False)
     spacing: Spacing = field(repr=False)
-    outline: object = field(repr=False)
+    outline: Any = field(repr=False)
 
     @property
     def n(self) -> int:
@@ -155,7 +156,12 @@ class CloudQuality(Shown):
     @cached_property
     def empty_space(self) -> EmptySpace:
         """Distances from places within the outline to their nearest points."""
-        return empty_space(self.xy, outline=self.outline)
+        return self.pattern.empty() if self.outline.area else empty_space(self.xy)
+
+    @cached_property
+    def pattern(self) -> Pattern:
+        """What the metrics of :data:`mmqa_lab.metrics.METRICS` share."""
+        return Pattern(self.xy, self.outline, self.plane.residuals)
 
     @property
     def e95_mm(self) -> float:

@@ -14,7 +14,7 @@ from mmqa_lab._results import Shown
 from mmqa_lab.planes import flat_points
 from mmqa_lab.spacing.neighbours import tree_of
 
-__all__ = ["STEPS", "EmptySpace", "empty_space"]
+__all__ = ["STEPS", "EmptySpace", "empty_space", "places_within"]
 
 EMPTY_PLACES = 10_000
 """Number of places of a surface from which points are sought; four times as many move e95 by 1 %
@@ -64,8 +64,12 @@ class EmptySpace(Shown):
     @property
     def e95(self) -> float:
         """The distance within which 95 % of the places have a point, m; NaN if not measurable."""
-        reach, share = self._within
-        return float(np.append(reach, np.nan)[np.searchsorted(share, 0.95)])
+        return self.quantile(0.95)
+
+    def quantile(self, share: float) -> float:
+        """The distance within which a share of the places have a point, m."""
+        reach, shares = self._within
+        return float(np.append(reach, np.nan)[np.searchsorted(shares, share)])
 
     def share(self, distance: float) -> float:
         """Share of the places that have a point within a distance, m.
@@ -132,11 +136,18 @@ def empty_space(xy: ArrayLike, *, outline: object = None, rank: int = 1) -> Empt
         outline = shapely.convex_hull(shapely.multipoints(xy))
     elif not isinstance(outline, shapely.Geometry):
         outline = shapely.Polygon(check_points(outline, name="outline", columns=2, minimum=3))
+    places, border = places_within(outline)
+    return EmptySpace(places, tree_of(xy).query(places, [rank])[0][:, 0], border)
+
+
+def places_within(outline, most=EMPTY_PLACES):
+    """Places spread evenly over a surface, (m, 2), and their distances from its outline, (m,)."""
     low, high = np.reshape(outline.bounds, (2, 2))
-    count = EMPTY_PLACES * min(100, np.prod(high - low) / max(outline.area, 1e-300))
-    places = np.outer(np.arange(count if outline.area else 0), STEPS) % 1 * (high - low) + low
-    places = places[shapely.contains_xy(outline, *places.T)]
-    distances = tree_of(xy - low).query(places - low, [rank])[0][:, 0]
-    sides = shapely.transform(shapely.boundary(outline), lambda xy: xy - low)
+    count = most * min(100, np.prod(high - low) / max(outline.area, 1e-300))
+    places = np.outer(np.arange(count if outline.area else 0), STEPS) % 1 * (high - low)
+    moved = shapely.transform(outline, lambda xy: xy - low)
+    shapely.prepare(moved)
+    places = places[shapely.contains_xy(moved, *places.T)]
+    sides = shapely.boundary(moved)
     shapely.prepare(sides)
-    return EmptySpace(places, distances, shapely.distance(sides, shapely.points(places - low)))
+    return places + low, shapely.distance(sides, shapely.points(places))

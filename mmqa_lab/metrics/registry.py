@@ -1,0 +1,136 @@
+"""The registry of metrics: each has a unit, a direction, a source, a formula, and what it misses.
+
+A metric is called with a chart, a :class:`~mmqa_lab.chart_cloud.CloudQuality`. What cannot be
+measured is NaN; :meth:`Metric.measure` gives the reason as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from mmqa_lab._checks import check_known
+from mmqa_lab.metrics.pattern import Unmeasured
+
+__all__ = ["METRICS", "Metric", "metric", "table"]
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A metric of a chart.
+
+    Parameters
+    ----------
+    name, unit : str
+        The unit is "1" for a ratio.
+    better : {"less", "more"}
+    source : str
+        With a DOI, or a document and its section.
+    formula : str
+        As LaTeX.
+    misses : str
+        What it does not see, or when it misleads.
+    function : callable
+        Of a CloudQuality; it returns a number.
+
+    Examples
+    --------
+    >>> METRICS["density"].unit, METRICS["density"].better
+    ('points/m2', 'more')
+    """
+
+    name: str
+    unit: str
+    better: str
+    source: str
+    formula: str
+    misses: str
+    function: Callable[[Any], float] = field(repr=False)
+
+    def __call__(self, chart: Any) -> float:
+        """Return the metric of a chart; NaN if it cannot be measured."""
+        return self.measure(chart)[0]
+
+    def measure(self, chart: Any) -> tuple[float, str]:
+        """Return the metric of a chart, and the reason if it is NaN."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            try:
+                value = float(self.function(chart))
+            except Unmeasured as reason:
+                return np.nan, f"{self.name} is not measured: {reason}."
+        if np.isfinite(value):
+            return value, ""
+        return np.nan, f"{self.name} is not measured: too few points have what it needs."
+
+    def worst_last(self, values: Any) -> np.ndarray:
+        """Return values such that less is better, the worst where there is none."""
+        signed = np.asarray(values, dtype=np.float64) * (1 if self.better == "less" else -1)
+        return np.where(np.isnan(signed), np.inf, signed)
+
+
+METRICS: dict[str, Metric] = {}
+"""The metrics by their names, in groups: density, noise, neighbours, gaps, evenness."""
+
+
+def metric(unit: str, better: str, source: str, formula: str, misses: str) -> Callable:
+    """Register a function of a chart by its name."""
+
+    def registered(function):
+        name = function.__name__
+        METRICS[name] = Metric(name, unit, better, source, formula, misses, function)
+        return function
+
+    return registered
+
+
+def table(
+    chart: Any, names: Iterable[str] | None = None, *, own: Mapping[str, Callable] | None = None
+) -> pd.DataFrame:
+    """Return metrics of a chart as a table.
+
+    Parameters
+    ----------
+    chart : CloudQuality
+    names : iterable of str, optional
+        Of ``METRICS``; all by default.
+    own : mapping, optional
+        More functions of the chart by their names.
+
+    Returns
+    -------
+    DataFrame
+        ``metric``, ``value``, ``low``, ``high`` (95 %), ``unit``, ``better``, ``source`` and
+        ``remarks`` (why there is no value). Intervals are those of
+        :meth:`~mmqa_lab.chart_cloud.CloudQuality.intervals`, from waves over the scan lines, for
+        the figures that it has; the other metrics have none.
+
+    Raises
+    ------
+    ValueError
+        If there is no metric of a name.
+
+    Examples
+    --------
+    >>> from mmqa_lab.chart_cloud import evaluate_cloud
+    >>> points = np.random.default_rng(1).uniform(0, 1, (3000, 3)) * [2, 1, 0.01]
+    >>> table(evaluate_cloud(points), ["anps", "f"])["unit"].tolist()
+    ['mm', '1']
+    """
+    own = dict(own or {})
+    names = [*METRICS] if names is None else list(names)
+    for name in names:
+        check_known(name, "metric", [*METRICS, *own])
+    known = chart.intervals().set_index("figure")[["low", "high"]]
+    rows = []
+    for name in names:
+        nothing = Metric(name, "1", "less", "", "", "", own[name]) if name in own else None
+        one = nothing or METRICS[name]
+        value, remark = one.measure(chart)
+        ends = known.loc[name] if name in known.index and not remark else (np.nan, np.nan)
+        rows.append((name, value, *ends, one.unit, one.better, one.source, remark))
+    columns = ["metric", "value", "low", "high", "unit", "better", "source", "remarks"]
+    return pd.DataFrame(rows, columns=columns)
