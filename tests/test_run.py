@@ -13,7 +13,15 @@ from overlaps import overlapping_texts
 
 from mmqa_lab import plots
 from mmqa_lab.published import ledger
-from mmqa_lab.run import Run, notebooks, pages, parameter_names, read_record, verdict
+from mmqa_lab.run import (
+    Run,
+    notebooks,
+    pages,
+    parameter_names,
+    read_record,
+    verdict,
+    write_record,
+)
 from mmqa_lab.studies import STUDIES
 
 
@@ -35,12 +43,14 @@ def test_the_record_is_written_with_every_file(run):
     record = read_record(run.folder)
     assert record["failure"] == ""
     assert record["parameters"] == {}
-    assert record["files"] == ["table.csv", "table.tex", "values.csv", "values.tex", "checks.csv"]
+    assert record["files"] == [
+        "table.csv", "table.tex", "values.csv", "values.tex", "values.typ", "checks.csv",
+    ]  # fmt: skip
     assert verdict(record) == "1 of 1 checks passed"
     assert record["versions"]["numpy"] == np.__version__
     assert pd.read_csv(run.folder / "values.csv")["value"].item() == 3.257
     macro = (run.folder / "values.tex").read_text()
-    assert macro == "\\newcommand{\\mmqaFTwoOfA}{3.257} % 1, predicted"
+    assert macro == "\\newcommand{\\mmqaExampleFTwoOfA}{3.257} % 1, predicted\n"
 
 
 def test_runs_by_hand_on_other_files_or_in_other_notebooks_do_not_meet(tmp_path, monkeypatch):
@@ -144,7 +154,7 @@ def test_an_answer_is_made_of_values_that_a_paper_can_quote(run):
     assert pd.read_csv(run.folder / "values.csv").values.tolist() == [
         ["speed_kmh", 54.2, "km/h", "predicted"]
     ]
-    assert "mmqaSpeedKmh}{54.2}" in (run.folder / "values.tex").read_text()
+    assert "mmqaExampleSpeedKmh}{54}" in (run.folder / "values.tex").read_text()
 
 
 def test_what_is_saved_again_leaves_nothing_of_before(run):
@@ -345,3 +355,42 @@ def test_checks_of_a_notebook_fail_on_spoiled_names(tmp_path):
     nbformat.write(nbformat.v4.new_notebook(cells=cells), tmp_path / "one.ipynb")
     assert spoiled(tmp_path / "one.ipynb", {"values": [1, 3]}) == []
     assert spoiled(tmp_path / "one.ipynb", {"values": [1, 4]}) == ["the mean is 2"]
+
+
+def test_a_run_deletes_nothing_but_its_own_files(tmp_path, monkeypatch):
+    monkeypatch.setenv("MMQA_RESULTS", str(tmp_path / "results"))
+    thesis, folder = tmp_path / "thesis.txt", tmp_path / "results" / "example"
+    (folder / ".cache.d").mkdir(parents=True)
+    left = folder / f".table.{16 * 'a'}.csv"
+    for file in (thesis, folder / ".notes.txt", left, folder / "old.csv"):
+        file.write_text("kept")
+    files = ["../../thesis.txt", str(thesis), ".cache.d", "old.csv"]
+    write_record(folder, {"files": files})
+    Run("example", parameters={})
+    inside = {path.name for path in folder.iterdir()}
+    assert inside == {".cache.d", ".notes.txt", "run.json"}
+    assert thesis.is_file()
+    for damaged in ("", '{"files": [', "[]"):
+        (folder / "run.json").write_text(damaged)
+        assert read_record(folder) == {}
+        Run("example", parameters={})
+
+
+def test_names_of_an_index_are_written_and_odd_names_refused(run):
+    frame = pd.DataFrame({"method": ["b", "a"], "f": [2.0, 1.0]}).groupby("method").mean()
+    run.save_table(frame, "means", kind="measured")
+    assert pd.read_csv(run.folder / "means.csv")["method"].tolist() == ["a", "b"]
+    assert "method" in (run.folder / "means.tex").read_text()
+    for name in ("50% & more#1", "a/b", ""):
+        with pytest.raises(ValueError, match="Invalid name"):
+            run.save_table(frame, name, kind="measured")
+
+
+def test_parameters_come_from_the_notebook_of_that_name(tmp_path, monkeypatch):
+    monkeypatch.setenv("MMQA_RESULTS", str(tmp_path / "results"))
+    monkeypatch.chdir(tmp_path)
+    for name in ("03_other_poles_test", "06_poles", "06_poles_copy"):
+        cell = nbformat.v4.new_code_cell(f"of_{name} = 1", metadata={"tags": ["parameters"]})
+        nbformat.write(nbformat.v4.new_notebook(cells=[cell]), tmp_path / f"{name}.ipynb")
+    run = Run("poles", parameters={"of_06_poles": 1})
+    assert read_record(run.folder)["parameters"] == {"of_06_poles": 1}

@@ -65,7 +65,7 @@ def test_what_is_stored_is_small_and_needs_no_kernel(tmp_path):
     cells[0].outputs = outputs
     write_atomically(results / "ran.ipynb", nbformat.writes(nbformat.v4.new_notebook(cells=cells)))
     (results / "key.png").write_bytes(content)
-    answer = {"sentence": "Yes, by 3 mm.", "figure": "other", "thumbnail": "key"}
+    answer = {"sentence": "Yes, by 3 mm.", "short": "Yes.", "figure": "other", "thumbnail": "key"}
     write_record(results, {"quick": False, "failure": "", "answer": answer})
     store(tmp_path, results.parent, [study])
     stored = nbformat.read(study.path, as_version=4)
@@ -74,14 +74,23 @@ def test_what_is_stored_is_small_and_needs_no_kernel(tmp_path):
     assert width <= 1000
     assert study.path.stat().st_size <= LARGEST_BYTES
     assert stored.metadata["mmqa_lab"]["code"] == code_hash(stored)
-    assert (tmp_path / "answers.csv").read_text() == 'study,answer\nran,"Yes, by 3 mm."\n'
+    assert (
+        tmp_path / "answers.csv"
+    ).read_text() == 'study,short,answer\nran,Yes.,"Yes, by 3 mm."\n'
     assert (tmp_path / "thumbnails" / "99_ran.png").is_file()
     write_atomically(study.path, study.path.read_text().replace("draw()", "draw(2)"))
     with pytest.raises(ValueError, match="the notebook changed"):
         store(tmp_path, results.parent, [study])
 
 
+MOST_WORDS = 18
+
+
 def test_no_answer_has_a_number_that_was_not_measured():
     answers = pd.read_csv(notebooks_folder() / "answers.csv")
     assert len(answers) == len(STUDIES)
     assert not answers["answer"].str.contains(r"\bnan\b").any()
+    if "short" in answers:  # the front page has a sentence of one breath for each
+        assert not answers.loc[
+            answers["short"].str.split().str.len() > MOST_WORDS, "study"
+        ].tolist()

@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 from mmqa_lab.commands.machine import FIGURE_ENDINGS, app, progress, table, write_figure
 
-__all__ = ["bench", "lab", "student", "studies", "test"]
+__all__ = ["bench", "lab", "paper", "student", "studies", "test"]
 
 LONGEST = "poles"
 """The study that takes longest. It begins first, so that no worker waits for it at the end."""
@@ -261,6 +261,46 @@ def student(
         if sheets is not None:
             paths += students.write_solutions(sheets, wanted, quick=quick)
     print(*paths, sep="\n")
+
+
+@app.command
+def paper(
+    folder: Path | None = None,
+    /,
+    *,
+    new: Path | None = None,
+    study: str | None = None,
+    latex: bool = False,
+    results: Path | None = None,
+):
+    """Make the PDF of a paper from results of studies, or lay a skeleton of a new paper.
+
+    Every number, table and figure of a paper comes from a run. Where the results have a newer run,
+    its values, tables and figures are taken; the others are those kept in the paper's folder.
+
+    Parameters
+    ----------
+    folder
+        Folder of the paper, with paper.typ. By default the one that comes with the notebooks.
+    new
+        Lay a skeleton of a paper into this new folder.
+    study
+        Short name of the study of the new paper, such as anisotropy.
+    latex
+        Lay the skeleton for LaTeX; by default it is for Typst.
+    results
+        Folder of the results. By default that of mmqa studies.
+    """
+    from mmqa_lab.run.papers import make_paper, new_paper
+    from mmqa_lab.studies import chosen, notebooks_folder, results_folder
+
+    if (new is None) != (study is None) or (new is not None and folder is not None):
+        raise ValueError("Invalid request. Must have FOLDER, or --new and --study.")
+    ran = results or results_folder(notebooks_folder())
+    if new is not None:
+        print(new_paper(new, chosen([study])[0], ran, latex=latex))
+    else:
+        print(make_paper(folder or notebooks_folder() / "paper", ran))
 
 
 @app.command

@@ -139,12 +139,11 @@ def store(notebooks, folder, studies):
         text = nbformat.writes(_lightened(ran, plain)).replace(str(folder), "results")
         write_atomically(study.path, text + "\n")
         if figure := record["answer"]["thumbnail"]:  # a tool has none
-            answers[study.stem] = record["answer"]["sentence"]
+            answers[study.stem] = [record["answer"]["short"], record["answer"]["sentence"]]
             thumbnail = notebooks / "thumbnails" / f"{study.notebook}.png"
             _store_figure(folder / study.stem / f"{figure}.png", thumbnail, THUMBNAIL_PX)
-    write_atomically(
-        notebooks / ANSWERS, pd.DataFrame(answers.items(), columns=["study", "answer"])
-    )
+    rows = [(stem, *both) for stem, both in answers.items()]
+    write_atomically(notebooks / ANSWERS, pd.DataFrame(rows, columns=["study", "short", "answer"]))
     if (folder / TASKS).is_file():
         write_atomically(notebooks / Path(TASKS).name, pd.read_csv(folder / TASKS))
     if (folder / KEY_FIGURE).is_file():

@@ -83,9 +83,13 @@ def write_pages(folder, studies):
 
 
 def stored_answers(notebooks):
-    """Return the answers of the last stored run by the stems of their studies."""
+    """Return the answers of the last stored run, short and long, by the stems of their studies."""
     file = Path(notebooks) / ANSWERS
-    return dict(pd.read_csv(file).to_numpy()) if file.is_file() else {}
+    if not file.is_file():
+        return {}
+    rows = pd.read_csv(file).set_index("study")
+    rows = rows if "short" in rows else rows.assign(short=rows["answer"])
+    return {study: (row.short, row.answer) for study, row in rows.iterrows()}
 
 
 def write_words(folder):

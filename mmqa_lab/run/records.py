@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import itertools
 import json
+import re
 from pathlib import Path
 
 from mmqa_lab.io import write_atomically
@@ -17,21 +18,29 @@ RECORD = "run.json"
 
 UNFINISHED = "stopped before its end"
 
+# A file that :func:`mmqa_lab.io.write_atomically` was writing when it was killed.
+LEFT_OVER = re.compile(r"\..{0,40}\.[0-9a-f]{16}\.\w+")
+
 
 def new_record(folder):
     """Remove the files of an earlier or a killed run; return the record of a run that begins."""
     before = read_record(folder)
-    for left in [*folder.glob(".*.*"), *map(folder.joinpath, before.get("files", []))]:
-        left.unlink(missing_ok=True)
-    answer = {"sentence": "", "figure": "", "thumbnail": "", "values": []}
+    ours = {one for one in map(str, before.get("files", [])) if Path(one).name == one}
+    for left in folder.iterdir() if folder.is_dir() else ():
+        if (left.name in ours or LEFT_OVER.fullmatch(left.name)) and not left.is_dir():
+            left.unlink()
+    answer = {"sentence": "", "short": "", "figure": "", "thumbnail": "", "values": []}
     record = {"quick": before.get("quick", False), "failure": UNFINISHED, "seconds": 0.0}
     return record | {"answer": answer, "checks": [], "files": [], "figures": {}}
 
 
 def read_record(folder):
-    """Return the run record in a study's folder; an empty dict without a record."""
-    file = Path(folder) / RECORD
-    return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+    """Return the run record in a study's folder; an empty dict without one that can be read."""
+    try:
+        record = json.loads((Path(folder) / RECORD).read_text(encoding="utf-8"))
+    except (OSError, ValueError):  # none yet, or damaged when the machine lost its power
+        return {}
+    return record if isinstance(record, dict) else {}
 
 
 def write_record(folder, record):

@@ -10,6 +10,7 @@ import zlib
 from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
+from string import Formatter
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -22,12 +23,13 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
 
 from mmqa_lab import __version__
+from mmqa_lab._checks import refuse
 from mmqa_lab._results import digits
 from mmqa_lab.bench import heading, split_unit
 from mmqa_lab.io import write_atomically
 from mmqa_lab.plots import finish_figure, say_kind
 from mmqa_lab.published.ledger import entries, verdicts
-from mmqa_lab.run.latex import as_latex, macro
+from mmqa_lab.run.quotes import as_latex, quoted_name, values_tex, values_typ
 from mmqa_lab.run.records import new_record, parameter_names, write_record
 
 __all__ = ["Run"]
@@ -72,7 +74,7 @@ class Run:
     >>> run.save_value("f_poisson", 3.257, "1", "predicted")
     >>> run.finish()
     >>> sorted(path.name for path in run.folder.iterdir())
-    ['run.json', 'values.csv', 'values.tex']
+    ['run.json', 'values.csv', 'values.tex', 'values.typ']
     >>> del os.environ["MMQA_RESULTS"]
     """
 
@@ -85,7 +87,7 @@ class Run:
             told_apart = [os.environ.get("JPY_SESSION_NAME", ""), *map(str, paths)]
             self.folder /= f"{paths[0].stem}_{zlib.crc32(chr(10).join(told_apart).encode()):08x}"
         self._values, self._kinds, self._checks = {}, {}, {}
-        notebooks = sorted(Path.cwd().glob(f"*{stem}*.ipynb"))
+        notebooks = sorted(Path.cwd().glob(f"*{stem}*.ipynb"), key=lambda one: len(one.name))
         names = parameter_names(notebooks[0]) if notebooks else []
         self._record = new_record(self.folder) | {
             "study": stem,
@@ -111,6 +113,9 @@ class Run:
         ValueError
             If the table has numbers, and neither the table nor ``kind`` states their kind.
         """
+        _check_name(name)
+        if any(frame.index.names):
+            frame = frame.reset_index()
         if kind:
             frame = frame.assign(**{"kind_of_number" if "kind" in frame else "kind": kind})
         self._kinds[name] = _kind_of(frame)
@@ -143,6 +148,7 @@ class Run:
         notebook, kept with the licence in ``captions.csv``, and the text for readers without the
         picture.
         """
+        _check_name(name)
         if name not in self._kinds or data is not None:
             self._remove(name)
         kind = kind or ("" if data is None else _kind_of(data)) or self._kinds.get(name, "")
@@ -150,10 +156,11 @@ class Run:
         finish_figure(figure)
         figure.draw_without_rendering()
         figure.set_layout_engine("none")  # laid out once: it takes as long as drawing
-        for form, details in FORMATS.items():
-            self._write(f"{name}.{form}", functools.partial(figure.savefig, metadata=details))
         said = all(word in seen for word in re.findall(r"\w+", kind))
         caption = seen if said else f"{seen} Numbers: {kind}."
+        for form, details in FORMATS.items():
+            details = details | {"Title": caption}
+            self._write(f"{name}.{form}", functools.partial(figure.savefig, metadata=details))
         self._record["figures"][name] = caption
         rows = pd.DataFrame(self._record["figures"].items(), columns=["figure", "caption"])
         self._write("captions.csv", rows.assign(licence="CC BY 4.0"))
@@ -165,13 +172,41 @@ class Run:
             display(Markdown(f"**Figure `{name}`.** {caption}"))
 
     def save_value(self, name: str, value: float, unit: str, kind: str) -> None:
-        """Write a named number with its unit and kind to ``values.csv`` and ``values.tex``."""
-        self._values[name] = {"name": name, "value": float(value), "unit": unit, "kind": kind}
-        self._write("values.csv", pd.DataFrame(list(self._values.values())))
-        self._write("values.tex", "\n".join(macro(**kept) for kept in self._values.values()))
+        """Write a named number to ``values.csv`` and, for papers, ``values.tex`` and ``.typ``.
+
+        A paper names it by study and name, digits and Greek letters as words: ``f_2`` of study
+        ``mimic`` is ``mmqaMimicFTwo``.
+
+        Raises
+        ------
+        ValueError
+            If another value of this run is named alike in a paper.
+        """
+        self._keep_value(name, value, unit, kind, digits(value))
+
+    def _keep_value(self, name, value, unit, kind, text):
+        """Write a named number and its text in papers."""
+        row = {"name": name, "value": float(value), "unit": unit, "kind": kind}
+        row |= {"quoted": quoted_name(self._record["study"], name), "text": text}
+        twins = [one for one in self._values.values() if one["quoted"] == row["quoted"]]
+        if not re.search(r"[^\W_]", name) or (twins and twins[0]["name"] != name):
+            alike = f"a paper names {twins[0]['name']} so, too" if twins else "no letter in it"
+            raise ValueError(f"Invalid name {name!r} of a value: {alike}. Must be its own.")
+        self._values[name] = row
+        rows = list(self._values.values())
+        self._write("values.csv", pd.DataFrame(rows)[["name", "value", "unit", "kind"]])
+        self._write("values.tex", values_tex(rows))
+        self._write("values.typ", values_typ(rows))
 
     def save_answer(
-        self, sentence: str, *, figure: str, kind: str = "", thumbnail: str = "", **numbers: float
+        self,
+        sentence: str,
+        *,
+        figure: str,
+        short: str = "",
+        kind: str = "",
+        thumbnail: str = "",
+        **numbers: float,
     ) -> None:
         """Keep the study's answer, its numbers, and the names of the figures that show it.
 
@@ -183,19 +218,25 @@ class Run:
             With a place for each number, such as ``"At 5 m {speed_kmh:.0f} km/h."``
         figure : str
             The figure that shows the numbers.
+        short : str
+            The answer in a sentence of at most 18 words with one number, for the front page; by
+            default ``sentence``.
         kind : str
             The kind of the numbers, one of ``NUMBER_KINDS``.
         thumbnail : str
             A figure that shows what the study is about; by default ``figure``.
         **numbers : float
-            Each is saved as a value too, so that a paper can quote it. The end of its name gives
-            the unit.
+            Each is saved as a value too, with the digits that it has in the sentence, so that a
+            paper can quote it. The end of its name gives the unit.
         """
+        forms = {name: form for _, name, form, _ in Formatter().parse(sentence + short) if form}
         for name, number in numbers.items():
-            self.save_value(name, number, split_unit(name)[1] or "1", kind)
-        spaced = re.sub(r"(?<=\d)%", " %", sentence.format(**numbers) if numbers else sentence)
+            text = _spaced(format(number, forms[name])) if name in forms else digits(number)
+            self._keep_value(name, number, split_unit(name)[1] or "1", kind, text)
+        filled = [_spaced(one.format(**numbers) if numbers else one) for one in (sentence, short)]
         self._record["answer"] = {
-            "sentence": spaced,
+            "sentence": filled[0],
+            "short": filled[1] or filled[0],
             "figure": figure,
             "thumbnail": thumbnail or figure,
             "values": list(numbers),
@@ -269,6 +310,17 @@ class Run:
         if name not in self._record["files"]:
             self._record["files"].append(name)
         write_record(self.folder, self._record)
+
+
+def _check_name(name):
+    """Raise if a table or figure has a name that is none of a file everywhere."""
+    found = repr(name) if re.search(r"[^\w-]", name) or not name else ""
+    refuse(found, "name", found, "of letters, digits and _")
+
+
+def _spaced(text):
+    """A text with a space between a number and its per cent sign."""
+    return re.sub(r"(?<=\d)%", " %", text)
 
 
 def _finish_shown():
