@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmqa_lab import tender
+from mmqa_lab import published, tender
 from mmqa_lab.tender import tables
 
 CRITERIA = pd.DataFrame(
@@ -211,7 +211,7 @@ def test_an_uncertain_exemption_leaves_open_what_f_does_not_meet(low, high, f, v
     [
         (CRITERIA.drop(columns="relation"), RESULTS, "no column 'relation'"),
         (CRITERIA[:0], RESULTS, "criteria: no rows"),
-        (pd.concat([CRITERIA, CRITERIA]), RESULTS, "'density' twice"),
+        (pd.concat([CRITERIA, CRITERIA.assign(distance_m=7)]), RESULTS, "'density' twice"),
         (CRITERIA.assign(relation="="), RESULTS, "relation of 'density'"),
         (CRITERIA.assign(threshold=np.nan), RESULTS, "threshold of 'density'"),
         (CRITERIA, RESULTS.assign(value="good"), "Must be a number or a mark a, b, c"),
@@ -327,3 +327,109 @@ def test_empty_rows_of_a_spreadsheet_do_not_count(empty, nothing):
     expected = tender.verdicts(CRITERIA, RESULTS)
     assert found["verdict"].tolist() == expected["verdict"].tolist()
     assert found["system"].tolist() == expected["system"].tolist()
+
+
+def _tables(criterion=(">=", 1500), rows=(("X", 900.0, ""),), quantity="density_per_m2"):
+    criteria = pd.DataFrame([("one", quantity, *criterion)], columns=tables.CRITERIA)
+    results = pd.DataFrame(rows, columns=["system", "value", "unit"]).assign(quantity=quantity)
+    return criteria, results
+
+
+@pytest.mark.parametrize(
+    ("unit", "value", "verdict"),
+    [("mm", 40, "met"), ("cm", 4.0, "met"), ("m", 0.04, "met"), ("CM", 6.0, "not met")],
+)
+def test_a_unit_converts_the_figure_its_sigma_and_its_ends(unit, value, verdict):
+    criteria, results = _tables(("<=", 50), [("X", value, unit)], "e95_mm")
+    results = results.assign(sigma=value / 100)
+    (row,) = tender.verdicts(criteria, results).to_dict("records")
+    assert row["verdict"] == verdict
+    assert row["value"] == pytest.approx({"mm": 1, "cm": 10, "m": 1000}[unit.lower()] * value)
+    assert row["high"] - row["value"] == pytest.approx(1.96 * row["value"] / 100)
+
+
+def test_a_unit_that_does_not_fit_is_refused():
+    with pytest.raises(ValueError, match=r"unit of density_per_m2 in row 1 of results 'cm'"):
+        tender.verdicts(*_tables(rows=[("X", 4000.0, "cm")]))
+
+
+@pytest.mark.parametrize("value", ["3,250", "3.250", "1,500"])
+def test_a_text_that_may_have_thousands_is_refused_unless_others_tell(value):
+    mixed = [("X", value, ""), ("Y", None, "")]
+    with pytest.raises(ValueError, match="Must be without thousands separators"):
+        tender.verdicts(*_tables(rows=mixed))
+    if "." in value:
+        told = tender.verdicts(*_tables(rows=[*mixed, ("Z", "12.5", "")]))
+        assert told["value"].iloc[0] == value
+        assert told["verdict"].tolist() == ["not met", "not measured", "not met"]
+
+
+def test_other_spellings_of_relations_and_marks_and_comments_are_read():
+    criteria = pd.DataFrame(
+        [
+            ("# of 2026", *[None] * 3),
+            ("d", "density_per_m2", "≥", 3000),
+            ("t", "legibility", "≤", "B"),
+        ],
+        columns=tables.CRITERIA,
+    )
+    results = pd.DataFrame(
+        [("X", "density_per_m2", 4000), ("X", "legibility", "A")], columns=tables.RESULTS
+    )
+    found = tender.verdicts(criteria, results)
+    assert found[["relation", "verdict"]].values.tolist() == [[">=", "met"], ["<=", "met"]]
+
+
+def test_rows_given_twice_change_nothing():
+    criteria, results = tender.published_criteria("test"), tender.published_results()
+    twice = tender.verdicts(pd.concat([criteria] * 2), pd.concat([results] * 2))
+    pd.testing.assert_frame_equal(twice, tender.verdicts(criteria, results))
+    assert "exempt" in set(twice["verdict"])
+
+
+def test_a_misspelt_quantity_is_blamed_where_it_stands():
+    criteria, results = _tables(quantity="kerb_height_mm")
+    with pytest.raises(ValueError, match=r"quantity in row 1 of results 'densty_per_m2'.*nearest"):
+        tender.verdicts(
+            pd.concat([criteria, _tables()[0].assign(criterion="two")]),
+            pd.concat([results.assign(quantity="densty_per_m2"), results]),
+        )
+
+
+@pytest.mark.parametrize(
+    ("given", "must"),
+    [
+        ((5, "<=", np.nan), "threshold nan. Must be finite"),
+        ((100, "<=", 10, 1, 2), "low 1, high 2. Must be between them"),
+    ],
+)
+def test_the_rule_checks_what_it_is_given(given, must):
+    value, relation, threshold, low, high = (*given, np.nan, np.nan)[:5]
+    with pytest.raises(ValueError, match=must):
+        tender.verdict(value, relation, threshold, low=low, high=high)
+
+
+def test_a_remark_names_a_figure_in_any_case():
+    said = {"quantity": "density_per_m2", "remarks": "Density varies across the board."}
+    assert tender.verdict(4000, ">=", 3000, **said) == "not certain"
+
+
+def test_the_tables_of_the_paper_are_its_printed_ones():
+    printed = published.table("pfeifer2021", "table_2")
+    found = tender.published_results().query("quantity == 'density_per_m2'")
+    assert found["value"].tolist() == printed["density_per_m2"].tolist()
+    images = published.table("pfeifer2021", "table_1").query("status != 'not_evaluated'")
+    for quantity, name in (("pixel size", "pixel_mm"), ("line-pair width", "w_mm")):
+        found = tender.published_results()
+        found = found[found["quantity"] == name]
+        wanted = images[images["quantity"] == quantity]
+        assert len(found) == len(wanted)
+        np.testing.assert_array_equal(found["value"].astype(float), wanted["value"])
+    criteria = published.table("pfeifer2021", "criteria")
+    names = ("test", "scenario 1", "scenario 2")
+    given = pd.concat(tender.published_criteria(name) for name in names)
+    assert given["relation"].tolist() == criteria["relation"].tolist()
+    assert given["threshold"].astype(str).tolist() == [
+        row.printed if row.quantity == "legibility" else str(row.threshold)
+        for row in criteria.itertuples()
+    ]

@@ -10,11 +10,24 @@ from mmqa_lab._checks import check_choice, check_columns, check_known, check_num
 from mmqa_lab.chart_image import MARKS
 
 __all__ = [
-    "CRITERIA", "PLACE", "QUANTITIES", "RELATIONS", "checked_criteria", "checked_results",
-    "doubted", "is_mark", "rank_of",
+    "CRITERIA", "PLACE", "QUANTITIES", "RELATIONS", "check_quantities", "checked_criteria",
+    "checked_results", "doubted", "is_mark", "rank_of",
 ]  # fmt: skip
 
 RELATIONS = {">=": operator.ge, ">": operator.gt, "<=": operator.le, "<": operator.lt}
+
+SPELT = {"≥": ">=", "≤": "<=", "=>": ">=", "=<": "<=", "≧": ">=", "≦": "<="}
+"""Other spellings of relations."""
+
+QUANTITY_UNITS = {
+    "_mm": {"mm": 1.0, "cm": 10.0, "m": 1000.0},
+    "_per_m2": dict.fromkeys(("1/m2", "1/m²", "/m2", "/m²", "m-2", "per m2"), 1.0),
+    "": dict.fromkeys(("1", "-", "mark"), 1.0),
+}
+"""What quantities that end so may be given in, and its multiple of their own unit."""
+
+GROUPED = r"[+-]?[1-9]\d{0,2}[.,]\d{3}"
+"""A number that may have thousands, or three decimals."""
 
 SPACINGS_MM = (0.5, 1e5)
 """What spacings can be; a value below it is one in metres."""
@@ -43,7 +56,7 @@ PLACE = ["distance_m", "view", "direction"]
 OPTIONAL = (*PLACE, "sigma", "low", "high", "remarks", "rho0_per_m2")
 """Columns that criteria or results may have."""
 
-NOTES = ("set", "unit", "n", "source", "note")
+NOTES = ("set", "n", "source", "note")
 """Columns that say more and decide nothing."""
 
 WORDS = {"view": ("orthogonal", "forward", "backward"), "direction": ("h", "v")}
@@ -53,6 +66,7 @@ WORDS = {"view": ("orthogonal", "forward", "backward"), "direction": ("h", "v")}
 def checked_criteria(criteria):
     """Criteria checked and with every column."""
     criteria = _whole(criteria, CRITERIA, ("distance_m", "rho0_per_m2"), "criteria")
+    criteria["relation"] = criteria["relation"].map(lambda sign: SPELT.get(sign, sign))
     for twice in criteria.loc[criteria["criterion"].duplicated(), "criterion"]:
         refuse(True, "criteria", f"{twice!r} twice", "distinct")
     for row in criteria.itertuples():
@@ -62,6 +76,14 @@ def checked_criteria(criteria):
         _check_unit(row.threshold, row.quantity, name)
         _check_unit(row.rho0_per_m2, "density_per_m2", "rho0_per_m2")
     return criteria
+
+
+def check_quantities(criteria, results):
+    """Raise where a quantity is neither known nor in both tables, by its table and row."""
+    for table, other, name in ((criteria, results, "criteria"), (results, criteria, "results")):
+        known = (*QUANTITIES, *sorted({*other["quantity"]} - {*QUANTITIES}))
+        for row, quantity in table["quantity"].items():
+            check_known(quantity, f"quantity in row {row + 1} of {name}", known)
 
 
 def checked_results(results):
@@ -86,13 +108,17 @@ def checked_results(results):
 def _whole(frame, needed, numbers, what):
     """A copy without empty rows and with every column: words empty, numbers NaN where not given."""
     check_columns(frame, needed, what)
-    for name in frame.columns[~frame.columns.isin([*needed, *OPTIONAL, *NOTES])]:
-        check_known(name, f"column of {what}", (*needed, *OPTIONAL, *NOTES))
+    columns = (*needed, *OPTIONAL, "unit", *NOTES)
+    for name in frame.columns[~frame.columns.isin(columns)]:
+        check_known(name, f"column of {what}", columns)
     frame = frame.reset_index(drop=True).replace(r"^\s*$", np.nan, regex=True).dropna(how="all")
+    noted = frame[needed[0]].astype(str).str.match(r"\s*(#|//)")
+    frame = frame[~(noted & frame[list(needed[1:])].isna().all(axis=1))].drop_duplicates()
     refuse(frame.empty, what, "no rows", "one or more")
-    missing = [name for name in (*WORDS, "remarks", *numbers) if name not in frame]
+    words = (*needed[:-1], *WORDS, "remarks", "unit")
+    missing = [name for name in (*words, *numbers) if name not in frame]
     frame = frame.assign(**dict.fromkeys(missing, np.nan))
-    for name in [*needed[:2], *WORDS, "remarks"]:
+    for name in words:
         empty = frame[name].isna()
         lacks = name in needed and empty.any()
         refuse(lacks, what, f"no {name} in row {empty.idxmax() + 1}", "one")
@@ -102,21 +128,54 @@ def _whole(frame, needed, numbers, what):
             check_known(word, name, ("", *known))
     for name in numbers:
         given = frame[name].astype(object).map(_step_of_mark)
+        _check_grouped(given, f"{name} in {what}")
         frame[name] = pd.to_numeric(given, errors="coerce")
         bad = frame[name].isna() & given.notna()
         where = f"{given[bad.idxmax()]!r} in row {bad.idxmax() + 1}"
         refuse(bad.any(), f"{name} in {what}", where, "a number")
-    return frame
+    frame[needed[-1]] = frame[needed[-1]].map(_lowered)
+    _check_grouped(frame[needed[-1]], f"{needed[-1]} in {what}")
+    return _in_own_units(frame, [*needed[-1:], *({*numbers} & {"sigma", "low", "high"})], what)
+
+
+def _in_own_units(frame, figures, what):
+    """Figures in the unit of their quantity; a unit that cannot be converted is refused."""
+    for row, (quantity, unit) in frame.loc[frame["unit"] != "", ["quantity", "unit"]].iterrows():
+        if quantity not in QUANTITIES:
+            continue
+        known = next(units for ending, units in QUANTITY_UNITS.items() if quantity.endswith(ending))
+        where = f"unit of {quantity} in row {row + 1} of {what}"
+        factor = known[check_choice(unit.lower(), where, tuple(known))]
+        if factor != 1:
+            found = [factor * rank_of(value, where) for value in frame.loc[row, figures]]
+            frame[figures] = frame[figures].astype(object)
+            frame.loc[row, figures] = found
+    return frame.astype(dict.fromkeys({*figures} & {"sigma", "low", "high"}, float))
+
+
+def _check_grouped(values, name):
+    """Raise where a text may have thousands or three decimals, and no other text tells."""
+    texts = [one.strip() for one in values if isinstance(one, str)]
+    odd = [one for one in texts if re.fullmatch(GROUPED, one)]
+    told = any(re.fullmatch(r"[+-]?\d*\.\d+", one) for one in texts if one not in odd)
+    if odd and not (told and "." in odd[0]):
+        both = f"{odd[0]} may be {re.sub('[.,]', '', odd[0])} or {odd[0].replace(',', '.')}"
+        raise ValueError(f"Invalid {name}: {both}. Must be without thousands separators.")
+
+
+def _lowered(value):
+    """A mark in small letters; anything else as it is."""
+    return value.strip().lower() if is_mark(value) else value
 
 
 def _step_of_mark(value):
     """Steps of a mark from a; anything else as it is."""
-    return float(MARKS.index(value.strip())) if is_mark(value) else value
+    return float(MARKS.index(_lowered(value))) if is_mark(value) else value
 
 
 def is_mark(value):
     """Whether a value is a mark a, b, c."""
-    return isinstance(value, str) and value.strip() in MARKS
+    return isinstance(value, str) and value.strip().lower() in MARKS
 
 
 def _check_unit(value, quantity, name):
@@ -130,7 +189,7 @@ def _check_unit(value, quantity, name):
 def doubted(quantity, remarks):
     """Whether a remark names the figure."""
     words = QUANTITIES.get(quantity, (0, 0, re.escape(quantity) or r"\b\B"))[2]
-    return re.search(rf"\b({words})\b", remarks) is not None
+    return re.search(rf"\b({words})\b", remarks, re.IGNORECASE) is not None
 
 
 def rank_of(value, name):

@@ -3,12 +3,12 @@
 import numpy as np
 import pandas as pd
 
-from mmqa_lab._checks import check_choice, check_known, refuse
+from mmqa_lab._checks import check_choice, check_number, refuse
 from mmqa_lab.spacing import exempt
 from mmqa_lab.tender.tables import (
     PLACE,
-    QUANTITIES,
     RELATIONS,
+    check_quantities,
     checked_criteria,
     checked_results,
     doubted,
@@ -66,6 +66,9 @@ def verdict(
     'not certain'
     """
     holds = RELATIONS[check_choice(relation, "relation", tuple(RELATIONS))]
+    check_number(threshold, "threshold")
+    beyond = low > value or value > high or low > high
+    refuse(beyond, f"figure {value:g}", f"low {low:g}, high {high:g}", "between them")
     bare = np.isfinite([low, high]).all() and high - low <= NO_WIDTH * abs(value)
     low, high = (value if np.isnan(end) else end for end in (low, high))
     if np.isnan([low, high]).any():
@@ -123,10 +126,7 @@ def verdicts(criteria: pd.DataFrame, results: pd.DataFrame) -> pd.DataFrame:
     [['B', 1.0, 'met'], ['C', -1.0, 'not met']]
     """
     criteria, results = checked_criteria(criteria), checked_results(results)
-    own = set(criteria["quantity"]) & set(results["quantity"])
-    for table in (criteria, results):
-        for quantity in table["quantity"].unique():
-            check_known(quantity, "quantity", (*QUANTITIES, *sorted(own - set(QUANTITIES))))
+    check_quantities(criteria, results)
     rows = []
     for system in results["system"].drop_duplicates():
         figures = results[results["system"] == system]
