@@ -12,13 +12,11 @@ import sys
 from typing import Any
 
 import numpy as np
-from IPython import get_ipython
-from IPython.display import Markdown
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
 from mmqa_lab import plots
-from mmqa_lab._checks import check_points
+from mmqa_lab._checks import check_points, needs
 
 __all__ = ["is_headless", "show_cloud"]
 __dir__ = __all__.copy
@@ -101,7 +99,9 @@ def show_cloud(
     points = check_points(cloud)
     local, values = points - points.min(axis=0), np.asarray(values, dtype=np.float64)
     if not can_render():
-        return Markdown("No 3-D view: it needs the OpenGL libraries that the README names.")
+        return needs("lab", "IPython.display").Markdown(
+            "No 3-D view: it needs the OpenGL libraries that the README names."
+        )
 
     choices: dict = {"jupyter_backend": "static"}
     if not is_headless():
@@ -113,10 +113,12 @@ def show_cloud(
 
 def _plotter(local, values, label, limit=None):
     """The pyvista scene of one cloud."""
-    import pyvista
-
+    pyvista = needs("views", "pyvista")
     # pyvista itself does not find the notebook when a button calls
-    place: dict = {"notebook": get_ipython() is not None, "off_screen": is_headless()}
+    place: dict = {
+        "notebook": needs("lab", "IPython").get_ipython() is not None,
+        "off_screen": is_headless(),
+    }
     plotter = pyvista.Plotter(**place, window_size=(900, 650))
     marks, cmap = np.array([-1, 0, 1]) * (limit or 0), plots.DIVERGING_MAP
     if limit is None:

@@ -6,6 +6,7 @@ import copy
 import inspect
 import itertools
 import numbers
+import pickle
 import sys
 import traceback
 import warnings
@@ -16,13 +17,13 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import cloudpickle
 import numpy as np
 import pandas as pd
 import xarray as xr
 from threadpoolctl import ThreadpoolController
 from tqdm import tqdm
 
+from mmqa_lab._checks import needs
 from mmqa_lab.bench.tables import RESERVED, dataset, failures
 
 __all__ = ["Comparison", "grid", "run"]
@@ -269,14 +270,14 @@ def _computed(study, jobs, executor):
     if executor is None:
         yield from ((job, _measured(study, *job)) for job in jobs)
         return
-    kit = cloudpickle.dumps(study)
+    kit = needs("dask", "cloudpickle").dumps(study)
     futures = {executor.submit(_unpacked, kit, job): job for job in jobs}
     yield from ((futures[future], future.result()) for future in as_completed(futures))
 
 
 def _unpacked(kit, job):
     """Measure a job in a worker."""
-    return _measured(cloudpickle.loads(kit), *job)
+    return _measured(pickle.loads(kit), *job)
 
 
 def _several(value):

@@ -15,7 +15,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from mmqa_lab import published
-from mmqa_lab._checks import check_choice, check_columns, check_positive, refuse
+from mmqa_lab._checks import check_choice, check_columns, check_positive, needs, refuse
 from mmqa_lab._results import Shown
 from mmqa_lab.chart_image.maps import ChartMap
 from mmqa_lab.chart_image.tones import find_tones
@@ -145,7 +145,7 @@ def agreement(marks: pd.DataFrame) -> Agreement:
     >>> found.verdict["mark"].tolist(), round(found.fleiss_kappa, 6)
     (['a', 'c'], 1.0)
     """
-    from statsmodels.stats.inter_rater import fleiss_kappa
+    raters = needs("lab", "statsmodels.stats.inter_rater")
 
     marks = check_marks(marks)
     counts = pd.crosstab(marks["element"], marks["mark"]).reindex(columns=list(MARKS), fill_value=0)
@@ -156,7 +156,7 @@ def agreement(marks: pd.DataFrame) -> Agreement:
     verdict = pd.DataFrame({"mark": winner, "n": total, "unanimous": best == total}).reset_index()
     complete = counts[total == marks["juror"].nunique()].to_numpy()
     several = marks["juror"].nunique() > 1 and (complete.sum(axis=0) > 0).sum() > 1
-    kappa = float(fleiss_kappa(complete)) if several else np.nan
+    kappa = float(raters.fleiss_kappa(complete)) if several else np.nan
     return Agreement(verdict, kappa, float(verdict["unanimous"].mean()))
 
 

@@ -216,7 +216,8 @@ def _say(command, sentence):
 
 def as_json(frame):
     """A table as JSON: a list with an object for each row."""
-    texts = frame.select_dtypes(["object", "str"])  # of a file's name some bytes may be no letters
+    # of a file's name some bytes may be no letters
+    texts = frame.select_dtypes(exclude=["number", "bool", "datetime"])
     plain = texts.map(
         lambda one: one.encode(errors="replace").decode() if isinstance(one, str) else one
     )

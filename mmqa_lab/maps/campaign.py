@@ -11,6 +11,7 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from hashlib import sha256
 from pathlib import Path
@@ -18,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
+from tqdm import tqdm
 
 from mmqa_lab._checks import (
     check_count,
@@ -128,15 +130,15 @@ def map_campaign(
 
 
 def _computed(function, tasks, unit, client):
-    """The results of a function for many tasks, on Dask."""
-    import dask
-    from tqdm.dask import TqdmCallback
-
-    delayed = [dask.delayed(function)(*task) for task in tasks]
+    """The results of a function for many tasks, on threads or on a Dask client."""
     if client is not None:
-        return client.gather(client.compute(delayed))
-    with TqdmCallback(desc=unit, **BAR):
-        return dask.compute(delayed, scheduler="threads")[0]
+        return client.gather([client.submit(function, *task, pure=False) for task in tasks])
+    pool = ThreadPoolExecutor(os.cpu_count())
+    try:
+        done = pool.map(lambda task: function(*task), tasks)
+        return list(tqdm(done, desc=unit, total=len(tasks), **BAR))
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def _files(paths):

@@ -18,7 +18,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.special import stdtrit
 
-from mmqa_lab._checks import check_count, check_positive, refuse
+from mmqa_lab._checks import check_count, check_positive, needs, refuse
 from mmqa_lab._results import Shown
 
 __all__ = [
@@ -219,7 +219,7 @@ def fit_sensor(
     >>> round(fit.gain, 2), round(fit.offset, 1), fit.n
     (10.01, 19.9, 4)
     """
-    from statsmodels.regression.linear_model import WLS
+    models = needs("lab", "statsmodels.regression.linear_model")
 
     dn = np.asarray(dn, dtype=np.float64)
     signal = np.broadcast_to(np.multiply(radiance, exposure), dn.shape)
@@ -232,7 +232,7 @@ def fit_sensor(
     refuse(few, "targets", found, "three or more, of different radiance")
     terms = 1 if through_zero else 2
     design = np.stack([signal, np.ones_like(signal)], axis=1)[:, :terms]
-    fit = WLS(dn[used], design[used], weights=std[used] ** -2).fit()
+    fit = models.WLS(dn[used], design[used], weights=std[used] ** -2).fit()
     gain, offset = np.append(fit.params, 0.0)[:2].tolist()
     residuals = np.where(used, dn - design @ fit.params, np.nan)
     std, saturated = np.append(fit.bse, 0.0)[:2], int((~used).sum())

@@ -1,5 +1,10 @@
 """Results of a study's run: tables, figures, values, checks, and a record of the run."""
 
+from mmqa_lab._checks import needs
+
+for part in ("IPython", "nbformat", "nbclient", "nbconvert", "jinja2", "latex2mathml"):
+    needs("lab", part)
+
 from mmqa_lab.run.records import parameter_names, read_record, verdict, write_record
 from mmqa_lab.run.results import Run
 

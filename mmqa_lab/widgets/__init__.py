@@ -3,6 +3,10 @@
 Without a screen (``MMQA_HEADLESS``) every control is replaced by a picture of its first state.
 """
 
+from mmqa_lab._checks import needs
+
+needs("lab", "ipywidgets")
+
 from mmqa_lab.widgets.explorers import choice, explore, slider
 from mmqa_lab.widgets.jury import JuryForm
 from mmqa_lab.widgets.screen import Halt
