@@ -20,7 +20,7 @@ def test_the_view_shows_the_cloud(rng, tmp_path):
 @pytest.mark.parametrize("shell", [None, object()])
 def test_a_view_is_the_notebooks_wherever_it_is_asked_for(shell, monkeypatch):
     """IPython tells only the code of a cell where it runs, not the function of a button."""
-    monkeypatch.setattr(views, "get_ipython", lambda: shell)
+    monkeypatch.setattr("IPython.get_ipython", lambda: shell)
     points = np.eye(3)
     assert views._plotter(points, points[:, 2], "height (m)").notebook == (shell is not None)
 
