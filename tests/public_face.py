@@ -52,7 +52,7 @@ assert_type(stats.median_interval(cloud["intensity"], [0, 1]), tuple[float, floa
 segments = lines.extract_edges(cloud)
 distance = lines.lhd([[[0, 0, 0], [0, 0, 6]]], np.zeros((1, 2, 3)), weight=2)
 assert_type(distance.value, float)
-assert_type(distance.remarks, list[str])
+assert_type(distance.remarks, tuple[str, ...])
 found = poles.detect([[0, 0, 0]], method="itc")
 score = poles.score(found, found, corridor=12)
 assert_type(score.f1, float)

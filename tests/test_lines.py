@@ -270,10 +270,12 @@ def test_few_common_lines_are_matched_rightly_or_refused_with_a_sentence():
             answered += 1
             assert pairing_scores(found.pairs, truth).f1 > 0.9
             few = f"Only {found.n} of {min(truth.shape)} lines are paired"
-            assert found.remark.startswith(few) == (found.n < 0.4 * min(truth.shape))
+            assert any(one.startswith(few) for one in found.remarks) == (
+                found.n < 0.4 * min(truth.shape)
+            )
         else:
-            assert re.search("may be chance|nearly as well", found.remark)
-            assert "remark" in found.to_frame()
+            assert re.search("may be chance|nearly as well", found.remarks[0])
+            assert "remarks" in found.to_frame()
     assert answered >= 4
 
 
@@ -282,7 +284,7 @@ def test_few_pairs_that_chance_can_give_are_no_answer(seed, share):
     """Without the rule 8 of 37, 4 of 23 and 4 of 30 lines are paired, most of them wrongly."""
     found = match_displaced(*window_rows.scene(seed, length=25.0, share=share)[:2])
     assert found.n == 0
-    assert "may be chance" in found.remark
+    assert "may be chance" in found.remarks[0]
 
 
 def test_a_pair_without_a_common_stretch_is_free_only_where_nothing_is_taken():
@@ -295,9 +297,9 @@ def test_a_pair_without_a_common_stretch_is_free_only_where_nothing_is_taken():
 def test_reasons_for_no_displacement_are_said():
     rng = np.random.default_rng(0)
     lines = at_random(rng, 12)
-    assert match_displaced(lines[:2], lines).remark == "Fewer than three lines."
-    away = match_displaced(lines + [0, 0, 90.0], lines).remark
+    assert match_displaced(lines[:2], lines).remarks == ("Fewer than three lines.",)
+    away = match_displaced(lines + [0, 0, 90.0], lines).remarks[0]
     assert away == "Fewer than three lines have a parallel one within 4 m."
     same = match_displaced(lines, lines)
-    assert (same.n, same.remark) == (12, "")
-    assert "remark" not in same.to_frame()
+    assert (same.n, same.remarks) == (12, ())
+    assert "remarks" not in same.to_frame()

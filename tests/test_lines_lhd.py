@@ -363,7 +363,7 @@ def test_many_weak_pairs_are_no_displacement():
     with pytest.warns(UserWarning, match="Matcher 'fragments' is used"):
         found = lhd(test + [0, 7.0, 5.0], model, matcher="displaced")
     assert found.matcher == "fragments"
-    reason = match_displaced(test + [0, 7.0, 5.0], model).remark
+    reason = match_displaced(test + [0, 7.0, 5.0], model).remarks[0]
     assert reason
     assert reason in found.remarks
     compared = lines.compare({"A": test + [0, 7.0, 5.0], "B": model}, matcher="displaced")[

@@ -49,6 +49,28 @@ def test_attitude_of_a_table_is_taken_and_without_heading_it_looks_where_it_move
     assert [path.heading.tolist(), path.pitch.tolist()] == [[0, 3], [1, 2]]
 
 
+def test_a_standing_vehicle_keeps_its_heading(rng):
+    east = np.r_[np.arange(0, 20, 0.5), np.full(200, 20.0), np.arange(20, 40, 0.5)]
+    place = np.c_[east, 0 * east, 0 * east]
+    names = ["easting_m", "northing_m", "height_m"]
+    for noise in (0, 0.01):
+        table = pd.DataFrame(place + noise * rng.normal(size=place.shape), columns=names)
+        path = Trajectory.from_table(table.assign(time_s=0.1 * np.arange(len(east))))
+        assert np.abs(path.heading - 90).max() <= 600 * noise
+    with pytest.raises(ValueError, match="Must move, or have a heading_deg"):
+        Trajectory.from_table(table.iloc[45:55].assign(time_s=range(10)))
+
+
+def test_drawn_errors_of_one_seed_are_independent():
+    path = simulate.straight(400, 10)
+    varied = simulate.with_speed_variation(path, share=0.02, seed=3)
+    known = simulate.measured(path, NavigationErrors(drift_m=0.1, correlation_s=0.5), seed=3)
+    pace = np.diff(varied.position[:, 1]) / np.diff(varied.time)
+    n = min(len(pace), len(known.time))
+    # 80 independent halves of a second
+    assert abs(np.corrcoef(pace[:n], known.position[:n, 0])[0, 1]) < 0.4
+
+
 def test_speed_variation_has_its_size_and_keeps_the_path():
     path = simulate.straight(4000, 10, heading=30)
     varied = simulate.with_speed_variation(path, share=0.02, seed=5)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import spearmanr
 from statsmodels.stats.proportion import proportion_confint
 from statsmodels.stats.weightstats import DescrStatsW
 
@@ -78,3 +79,24 @@ def test_parts_hold_equal_numbers_and_follow_the_order_of_places(n, seed, digits
         assert set(parts) <= set(range(neighbours.WAVE_PARTS))
         alike = np.unique(places, return_counts=True)[1].max()
         assert np.bincount(parts).max() <= n / neighbours.WAVE_PARTS + alike + 1
+
+
+def test_means_and_the_next_value_have_students_interval(rng):
+    values = rng.normal(5, 2, 12)
+    low, high = DescrStatsW(values).tconfint_mean()
+    found = stats.mean_interval([*values, np.nan])
+    assert (found.low, found.high) == pytest.approx((low, high))
+    of_next = stats.mean_interval(values, of_next=True)
+    assert of_next.high - of_next.low == pytest.approx((high - low) * np.sqrt(13))
+    assert np.isnan(stats.mean_interval([3.0]).low)
+    assert np.isnan(stats.student_reach(1.0, 0))
+
+
+def test_rank_correlations_ignore_order_scale_and_gaps(rng):
+    rows, true = rng.normal(size=(2, 40)), rng.normal(size=40)
+    rows[0, :5] = np.nan
+    found = stats.rank_correlation(rows, true)
+    order = rng.permutation(40)
+    assert stats.rank_correlation(1e6 * rows[:, order], true[order]) == pytest.approx(found)
+    assert found[0] == pytest.approx(spearmanr(rows[0, 5:], true[5:])[0])
+    assert np.isnan(stats.rank_correlation(np.ones((1, 40)), true)[0])

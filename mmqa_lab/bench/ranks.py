@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 from matplotlib.figure import Figure
-from scipy import stats
 
 from mmqa_lab import plots
 from mmqa_lab._checks import check_choice
@@ -21,6 +20,7 @@ from mmqa_lab.bench.tables import (
     remarked,
     split_unit,
 )
+from mmqa_lab.stats import mean_interval, rank_correlation
 
 __all__ = ["compare", "plot", "plot_tables", "rank", "summary"]
 
@@ -233,11 +233,11 @@ def rank(results: xr.Dataset, truth: str, figure: str | None = None) -> pd.DataF
     values = np.stack(list(by_method.values()))
     members = [np.flatnonzero(cases == case) for case in np.unique(cases)]
     draws = np.random.default_rng(0).integers(len(members), size=(RESAMPLES, len(members)))
-    found = _spearman(values, true)
+    found = rank_correlation(values, true)
     drawn = []
     for draw in draws:
         pick = np.concatenate([members[case] for case in draw])
-        drawn.append(_spearman(values[:, pick], true[pick]))
+        drawn.append(rank_correlation(values[:, pick], true[pick]))
     best = np.argmax(np.nan_to_num(np.abs(found), nan=-1))
     columns = {"method": list(by_method), "spearman": found}
     columns["low"], columns["high"] = _percentiles(np.array(drawn))
@@ -250,12 +250,6 @@ def rank(results: xr.Dataset, truth: str, figure: str | None = None) -> pd.DataF
     return remarked(table, results)
 
 
-def _spearman(rows, true):
-    """Spearman's correlation of each row with the truth, over the finite cells."""
-    with warnings.catch_warnings(action="ignore"):  # a constant row has none
-        return pd.DataFrame(rows.T).corrwith(pd.Series(true), method="spearman").to_numpy()
-
-
 def _percentiles(drawn):
     """The 2.5 and 97.5 % percentiles of each column, NaN left out."""
     with warnings.catch_warnings(action="ignore", category=RuntimeWarning):
@@ -265,11 +259,8 @@ def _percentiles(drawn):
 def _t_interval(values):
     """Mean of the finite values, its 95 % interval by Student's t, and their number."""
     values = values[np.isfinite(values)]
-    n = len(values)
-    if n < 2:
-        return (values[0] if n else np.nan), np.nan, np.nan, n
-    half = stats.t.ppf(0.975, n - 1) * values.std(ddof=1) / np.sqrt(n)
-    return values.mean(), values.mean() - half, values.mean() + half, n
+    found = mean_interval(values)
+    return found.value, found.low, found.high, len(values)
 
 
 def _by_method(results, name):

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
-from scipy.special import stdtrit
 
 from mmqa_lab._checks import check_choice, check_points
 from mmqa_lab._results import Shown, sentences
@@ -18,6 +17,7 @@ from mmqa_lab.boresight.features import planes_in_common, points_at_control, pol
 from mmqa_lab.boresight.misfits import OnGround, OnPlanes, OnPoles
 from mmqa_lab.boresight.shots import Shots
 from mmqa_lab.cloud import Cloud
+from mmqa_lab.stats import student_reach
 
 __all__ = ["Calibration", "calibrate", "corrected"]
 
@@ -40,13 +40,13 @@ class Calibration(Shown):
         flat, and stated errors of the paths.
     lever_arms_m : array, shape (h, 3)
         Assumed lever arms, m.
-    remarks : str
+    remarks : tuple of str
         Errors that the intervals do not contain.
     """
 
     table: pd.DataFrame
     lever_arms_m: np.ndarray
-    remarks: str = ""
+    remarks: tuple[str, ...] = ()
 
     @property
     def values(self) -> np.ndarray:
@@ -61,7 +61,7 @@ class Calibration(Shown):
 
     def to_frame(self) -> pd.DataFrame:
         """Return the table, in degrees and metres, with the remarks."""
-        return self.table.assign(remarks=self.remarks)
+        return self.table.assign(remarks=" ".join(self.remarks))
 
     def correct(self, cloud: Cloud, trajectory: Any) -> Cloud:
         """Return the cloud of a drive with the estimated mounting, see :func:`corrected`."""
@@ -221,7 +221,7 @@ def _result(adjustment, values, lever, path_std_m, path_std_deg):
     wild = np.maximum(np.abs(value), std) > np.tile(limits, len(values))
     if wild.any():
         raise stay_open(wild)
-    half = np.where(std > 0, stdtrit(students, 0.975) * std, np.nan)
+    half = np.where(std > 0, student_reach(std, students), np.nan)
     table = {"head": np.repeat(np.arange(len(values)), 6), "parameter": PARAMETERS * len(values)}
     table |= {"value": value, "std": std, "low": value - half, "high": value + half}
     ways = pd.DataFrame(adjustment.kinds[0].shots.rotation[:, :2, 1])
@@ -234,4 +234,4 @@ def _result(adjustment, values, lever, path_std_m, path_std_deg):
             "alike there, so do not rely on these values.",
         ),
     )
-    return Calibration(pd.DataFrame(table), lever, " ".join(remarks))
+    return Calibration(pd.DataFrame(table), lever, remarks)

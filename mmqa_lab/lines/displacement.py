@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from scipy import stats
 
 from mmqa_lab._checks import check_number
-from mmqa_lab._results import Shown, about
+from mmqa_lab._results import Shown, about, sentences
 from mmqa_lab.lines.pairing import levers, paired
 from mmqa_lab.lines.paths import Search, together
 from mmqa_lab.lines.refinement import refined
@@ -62,7 +62,7 @@ class Displacement(Shown):
         east to north. It is part of the fit and has no interval.
     centre : array, shape (3,)
         Middle of the pairs, m from the middle of the model lines.
-    remark : str
+    remarks : tuple of str
         Of :func:`match_displaced`: why there are no pairs, or that few lines are paired.
     """
 
@@ -71,7 +71,7 @@ class Displacement(Shown):
     pairs: np.ndarray
     turn_deg: float
     centre: np.ndarray
-    remark: str = ""
+    remarks: tuple[str, ...] = ()
 
     @property
     def n(self) -> int:
@@ -89,13 +89,13 @@ class Displacement(Shown):
     def to_frame(self) -> pd.DataFrame:
         """Return a row for x, y and z: value, standard deviation, 95 % interval (m), pairs.
 
-        Where there is a remark it is the last column.
+        Where there are remarks they are the last column.
         """
         frame = pd.DataFrame({"axis": [*"xyz"], "value_m": self.vector})
         frame["std_m"] = np.sqrt(np.diag(self.covariance))
         ends = self.intervals()
         frame = frame.assign(low_m=ends["low"], high_m=ends["high"], n=self.n)
-        return frame.assign(remark=self.remark) if self.remark else frame
+        return frame.assign(remarks=" ".join(self.remarks)) if self.remarks else frame
 
 
 def fit_displacement(test: ArrayLike, model: ArrayLike, pairs: ArrayLike) -> Displacement:
@@ -216,7 +216,7 @@ def match_displaced(test: ArrayLike, model: ArrayLike, *, radius: float = 4.0) -
     if len(test) >= 3 and len(model):
         rows, columns = _distinct(test), _distinct(model)
         pairs[np.ix_(rows, columns)], remark = _matched(test[rows], model[columns], radius)
-    return replace(fit_displacement(test, model, pairs), remark=remark)
+    return replace(fit_displacement(test, model, pairs), remarks=sentences((remark, remark)))
 
 
 def _distinct(segments):

@@ -13,6 +13,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice, check_number, listed
+from mmqa_lab._results import sentences
 from mmqa_lab.lines.displacement import match_displaced
 from mmqa_lab.lines.hausdorff import LHD, WAYS, Directed
 from mmqa_lab.lines.pairing import MATCHERS, Threshold, check_pairs, correspond, peak_threshold
@@ -114,7 +115,7 @@ def lhd(
         pairs = check_pairs(pairs, (len(test), len(model)))
     elif matcher == "displaced":
         moved = match_displaced(test, model, radius=radius)
-        pairs, doubts = moved.pairs, [moved.remark] if moved.remark and moved.pairs.size else []
+        pairs, doubts = moved.pairs, [*moved.remarks] if moved.pairs.size else []
         if pairs.size and not pairs.any():
             pairs, matcher = None, "fragments"
             doubts += ["Matcher 'fragments' is used."]
@@ -122,7 +123,7 @@ def lhd(
     turned = None if pairs is None else pairs.T
     back = _one_way(model, test, matcher=matcher, pairs=turned, **settings)
     back = replace(back, pairs=back.pairs.T)
-    remarks = [*_doubts(test, model, there, back), *doubts]
+    remarks = *_doubts(test, model, there, back), *doubts
     for remark in remarks:
         warnings.warn(remark, stacklevel=2)
     return LHD(weight, matcher, there, back, test, model, remarks)
@@ -157,14 +158,21 @@ def _doubts(test, model, there, back):
     """Reasons to doubt a distance, each as a sentence."""
     if empty := [name for name, ends in (("test", test), ("model", model)) if not len(ends)]:
         return [f"No {' and no '.join(empty)} segments, so there is nothing to measure."]
-    sentences = []
-    for way, side in zip(WAYS, (there, back), strict=True):
-        if side.threshold.fallback:
-            largest = f"The threshold is the largest distance, {side.threshold.delta:.3g} m."
-            sentences.append(f"No jump in the nearest distances from {way}. {largest}")
-        if side.n < 5:
-            sentences.append(f"Only {side.n} pairs from {way}. The value may be due to chance.")
-    return sentences
+    sides = list(zip(WAYS, (there, back), strict=True))
+    return sentences(
+        *(
+            (
+                side.threshold.fallback,
+                f"No jump in the nearest distances from {way}. The threshold is the largest "
+                f"distance, {side.threshold.delta:.3g} m.",
+            )
+            for way, side in sides
+        ),
+        *(
+            (side.n < 5, f"Only {side.n} pairs from {way}. The value may be due to chance.")
+            for way, side in sides
+        ),
+    )
 
 
 def compare(
@@ -241,8 +249,7 @@ def _compared(kind, names, sets, radius, choices):
         table[f"displacement_{axis}_m"] = moved.vector[k]
         table[f"sigma_{axis}_m"] = np.sqrt(moved.covariance[k, k])
     table["displaced_pairs"] = moved.n
-    if moved.remark and moved.remark not in remarks:
-        remarks = [*remarks, moved.remark]
-    if not np.isfinite(moved.vector).all():
-        remarks = [*remarks, "No displacement: too few lines agree, or all of them are parallel."]
-    return table.assign(remarks=" ".join(remarks))
+    remarks = *remarks, *(remark for remark in moved.remarks if remark not in remarks)
+    open_ways = not np.isfinite(moved.vector).all()
+    none = "No displacement: too few lines agree, or all of them are parallel."
+    return table.assign(remarks=" ".join([*remarks, *sentences((open_ways, none))]))

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_points
+from mmqa_lab._results import NORMAL
 from mmqa_lab.plane_search import CELLS_PER_SIZE, Grid, detect_planes, usual_size
 
 __all__ = ["Edges", "extract_edges"]
@@ -174,7 +175,7 @@ class _Lines:
         # points within the tolerance of a third plane do not count, so its corner lies that far off
         most = (high[0] - low[0]) / 4
         low, high = (
-            self._corner(line, end, min(1.96 * np.hypot(end[1], noise) + self.tolerance, most))
+            self._corner(line, end, min(NORMAL * np.hypot(end[1], noise) + self.tolerance, most))
             for end in (low, high)
         )
         ends = self.origin + self.foot[line] + np.outer([low[0], high[0]], direction)
@@ -290,7 +291,7 @@ def _ends(side, first, last, cell):
     a, b = np.flatnonzero(core)[[0, -1]] if core.any() else (0, len(inside) - 1)
     a = max((k + 1 for k in broken if k < a), default=0)
     b = min((k for k in broken if k >= b), default=len(inside) - 1)
-    spread = gap * (_beyond(n, BEYOND) - 1) / 1.96
+    spread = gap * (_beyond(n, BEYOND) - 1) / NORMAL
     return (inside[a] - gap, spread), (inside[b] + gap, spread), b - a + 1
 
 

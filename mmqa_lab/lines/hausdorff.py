@@ -8,14 +8,14 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
-from scipy import stats
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from mmqa_lab._results import Shown
+from mmqa_lab._results import NORMAL, Shown
 from mmqa_lab.lines.displacement import Displacement, fit_displacement, match_displaced
 from mmqa_lab.lines.pairing import Threshold, paired
 from mmqa_lab.lines.segments import Components, from_common_origin
+from mmqa_lab.stats import student_reach
 
 __all__ = ["LHD", "WAYS", "Directed"]
 
@@ -89,11 +89,12 @@ class LHD(Shown):
         Both directions.
     test, model : array, shapes (p, 2, 3) and (q, 2, 3)
         The sets, m.
-    remarks : list of str
+    remarks : tuple of str
         Reasons to doubt the value.
 
     Examples
     --------
+    >>> from mmqa_lab.lines import lhd
     >>> model = np.array([[[x, 0, 0], [x, 0, 6]] for x in range(0, 60, 10)], dtype=float)
     >>> test = model + [0, 0.1, 0]
     >>> test[-1, :, 1] += 40  # this segment has no partner
@@ -108,7 +109,7 @@ class LHD(Shown):
     model_test: Directed
     test: np.ndarray
     model: np.ndarray
-    remarks: list[str]
+    remarks: tuple[str, ...]
 
     @cached_property
     def displacement(self) -> Displacement:
@@ -151,7 +152,7 @@ class LHD(Shown):
         weights = np.vstack([side.share, drawn[:, source] * side.share])
         # each draw is divided by its own sum of weights, for both norms
         value, *draws = weights @ side.parts.distance(self.weight) / weights.sum(axis=1)
-        wider = stats.t.ppf(0.975, n - 1) / stats.norm.ppf(0.975) * np.sqrt(n / (n - 1))
+        wider = student_reach(np.sqrt(n / (n - 1)), n - 1) / NORMAL
         ends = value + wider * (np.quantile(draws, (0.025, 0.975)) - value)
         low, high = ends * side.share.sum()
         return float(max(low, 0)), float(high)

@@ -13,14 +13,14 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
-from scipy.special import stdtrit
 
 from mmqa_lab._checks import check_points
-from mmqa_lab._results import Shown, about
+from mmqa_lab._results import NORMAL, Shown, about
 from mmqa_lab.planes import TUKEY, fit_plane, sigma_mad
 from mmqa_lab.scan_pattern.groups import group_means, solve_groups, solved
 from mmqa_lab.scan_pattern.mimic import LEVEL
 from mmqa_lab.scan_pattern.timing import mirror_frequency, pulse_period, revolutions_from_time
+from mmqa_lab.stats import student_reach
 
 __all__ = [
     "PatternMeasurement", "measure_pattern", "mirror_frequency", "pulse_period",
@@ -340,7 +340,7 @@ def _jackknifed(left):
     """
     if len(left) < 4:
         return [np.nan] * 5
-    reach = stdtrit(len(left) - 1, 0.975) / 1.959964
+    reach = student_reach(1 / NORMAL, len(left) - 1)
     return (reach * np.sqrt((len(left) - 1) * np.var(left, axis=0))).tolist()
 
 

@@ -7,7 +7,6 @@ random generator in a fixed order, so that two streets that differ in one settin
 
 from __future__ import annotations
 
-import zlib
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +21,7 @@ from mmqa_lab.cloud import Cloud
 from mmqa_lab.simulate import surfaces
 from mmqa_lab.simulate.scan import Scanner, scan
 from mmqa_lab.simulate.scenes import Scene
+from mmqa_lab.simulate.streams import stream
 from mmqa_lab.simulate.systems import PRESETS
 from mmqa_lab.simulate.trajectories import Trajectory, straight
 
@@ -149,7 +149,7 @@ def street(plan: Plan | str, *, length: float, seed: int) -> Street:
         things += parts
     things += _clutter(plan, length, seed)
     for number, (side, setback, start, size) in enumerate(blocks):
-        rng = _stream(seed, f"building {number}")
+        rng = stream(seed, f"building {number}")
         things += _building(rng, side, setback, start, size, plan)
     return Street(Scene(things), pd.DataFrame(rows), length)
 
@@ -213,16 +213,11 @@ def visible_targets(made: Street, cloud: Cloud, *, minimum_sweeps: int = 5) -> p
     return targets.assign(distance_m=targets["x_m"].abs())
 
 
-def _stream(seed, kind):
-    """The random stream of one kind of thing."""
-    return np.random.default_rng([int(seed), zlib.crc32(kind.encode())])
-
-
 def _buildings(plan, length, seed):
     """Side, setback, start and length of each building."""
     found = []
     for side in (-1, 1):
-        rng = _stream(seed, f"buildings {side}")
+        rng = stream(seed, f"buildings {side}")
         start = -20.0
         while start < length + 20:
             size, gap = rng.uniform(10, 26), rng.uniform(2, 10)
@@ -236,9 +231,9 @@ def _buildings(plan, length, seed):
 def _poles(plan, length, seed, blocks):
     """Surfaces, the shaft first, and truth of poles outside buildings and 1 m from each other."""
     taken = np.empty((0, 2))
-    dressing = _stream(seed, "dressing")
+    dressing = stream(seed, "dressing")
     for kind, make in {"lamp": _lamp, "sign": _sign, "other": _other, "tree": _tree}.items():
-        rng = _stream(seed, kind)
+        rng = stream(seed, kind)
         for _ in range(rng.poisson(getattr(plan, f"{kind}s_per_100m") * length / 100)):
             own = np.random.default_rng(rng.integers(2**63))
             side = int(rng.choice([-1, 1]))
@@ -370,7 +365,7 @@ def _clutter(plan, length, seed):
     """Cars, people and hedges, at distances from the path in metres."""
     kinds = {"car": (_car, 2.6, 3.2), "pedestrian": (pedestrian, 4, 9), "hedge": (_hedge, 7.5, 13)}
     for kind, (make, low, high) in kinds.items():
-        rng = _stream(seed, kind)
+        rng = stream(seed, kind)
         for _ in range(rng.poisson(getattr(plan, f"{kind}s_per_100m") * length / 100)):
             own = np.random.default_rng(rng.integers(2**63))
             x, y = own.choice([-1, 1]) * own.uniform(low, high), own.uniform(0, length)

@@ -18,6 +18,7 @@ from mmqa_lab._checks import check_number, check_positive
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.simulate.scan import scan
 from mmqa_lab.simulate.scenes import Scene
+from mmqa_lab.simulate.streams import stream
 from mmqa_lab.simulate.surfaces import box, cylinder, rectangle
 from mmqa_lab.simulate.systems import System
 from mmqa_lab.simulate.trajectories import Trajectory, measured, straight
@@ -97,7 +98,7 @@ class SimulatedField:
         xy = np.stack([x.ravel(), y.ravel()], axis=1) + step / 2 + self.origin[:2]
         z = self.height(xy)
         points = np.column_stack([xy, z])[np.isfinite(z)]
-        rng = np.random.default_rng(seed)
+        rng = stream(seed, "surveyed ground")
         points[:, 2] += rng.normal(0, self.reference_std_m, len(points))
         return points
 
@@ -193,7 +194,7 @@ def drive_test_field(
     drives = []
     for number, path in enumerate(street.drives()):
         known = measured(path, system.navigation, seed=[seed, number])
-        cloud = scan(street.scene, heads, path, seed=seed + number, measured=known)
+        cloud = scan(street.scene, heads, path, seed=[seed, number], measured=known)
         head = {} if "head" in cloud else {"head": np.zeros(len(cloud), np.uint8)}
         columns = {**cloud.columns, **head, "drive": np.full(len(cloud), number, np.uint8)}
         cloud = replace(cloud, columns=columns)

@@ -18,11 +18,16 @@ from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_number, check_points, check_positive
 from mmqa_lab.rotations import rotations
+from mmqa_lab.simulate.streams import stream
 
 __all__ = [
     "NavigationErrors", "Trajectory", "gauss_markov", "measured", "straight",
     "with_speed_variation",
 ]  # fmt: skip
+
+
+MOVED_M = 0.3
+"""Less movement, as of a standing vehicle measured with noise, shows no heading."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,15 +97,15 @@ class Trajectory:
         ----------
         table : DataFrame
             ``time_s``, ``easting_m``, ``northing_m``, ``height_m``; ``roll_deg``, ``pitch_deg``,
-            ``heading_deg`` where known. Without a heading the vehicle looks where it moves.
+            ``heading_deg`` where known. Without a heading the vehicle looks where it moves, and
+            keeps its heading where it stands.
         """
         position = table[["easting_m", "northing_m", "height_m"]].to_numpy()
         known = {name: table[f"{name}_deg"] for name in ("roll", "pitch") if f"{name}_deg" in table}
         if "heading_deg" in table:
             heading = table["heading_deg"]
         else:
-            east, north, _ = np.gradient(position, axis=0).T
-            heading = np.degrees(np.unwrap(np.arctan2(east, north)))
+            heading = _course(table["time_s"].to_numpy(), position)
         return cls(table["time_s"], position, heading=heading, **known)
 
     @property
@@ -258,7 +263,7 @@ def with_speed_variation(trajectory: Trajectory, *, share: float, seed: int) -> 
     share = check_number(share, "share", low=0, high=0.3)
     n = int(np.ceil(trajectory.duration_s / 0.01)) + 1
     along = np.linspace(0.0, trajectory.duration_s, n)
-    speed = 1 + share * gauss_markov(n, along[1], 0.5, np.random.default_rng(seed))
+    speed = 1 + share * gauss_markov(n, along[1], 0.5, stream(seed, "speed"))
     pace = 1 / np.maximum(speed, 0.05)
     since = np.concatenate([[0.0], np.cumsum((pace[1:] + pace[:-1]) / 2 * np.diff(along))])
     values = trajectory.states(along)
@@ -299,11 +304,24 @@ def measured(
     n = max(int(np.ceil(trajectory.duration_s / interval_s)) + 1, 2)
     since = np.linspace(0.0, trajectory.duration_s, n)
     values = trajectory.states(since)
-    rng, correlation = np.random.default_rng(seed), errors.correlation_s
+    rng, correlation = stream(seed, "navigation"), errors.correlation_s
     drift = np.stack([gauss_markov(n, since[1], correlation, rng) for _ in range(6)], axis=1)
     angles = np.degrees(values[:, 3:]) + drift[:, 3:] * errors.drift_deg
     position = trajectory.origin + (values[:, :3] + drift[:, :3] * errors.drift_m)
     return Trajectory(trajectory.time[0] + since, position, *angles.T)
+
+
+def _course(time, position):
+    """Heading in degrees along the movement, from places ``MOVED_M`` apart or farther."""
+    moved = [0]
+    for row, (east, north) in enumerate(position[:, :2]):
+        at = position[moved[-1]]
+        if (east - at[0]) ** 2 + (north - at[1]) ** 2 >= MOVED_M**2:
+            moved.append(row)
+    if len(moved) < 2:
+        raise ValueError(f"Invalid path within {MOVED_M} m. Must move, or have a heading_deg.")
+    east, north = np.gradient(position[moved, :2], axis=0).T
+    return np.interp(time, time[moved], np.degrees(np.unwrap(np.arctan2(east, north))))
 
 
 def gauss_markov(

@@ -1,10 +1,17 @@
 """Rates and errors with their intervals: recall and precision, RMSE, bias, NMAD.
 
-Rates have Wilson intervals, statistics of independent values have bootstrap intervals. NaN means
-not measurable. ``neighbours`` has intervals of values that depend on their neighbours.
+Rates have Wilson intervals, means of independent values Student's, other statistics bootstrap
+intervals. NaN means not measurable. ``neighbours`` has intervals of values that depend on their
+neighbours.
 """
 
-from mmqa_lab.stats.intervals import Interval, bootstrap
+from mmqa_lab.stats.intervals import (
+    Interval,
+    bootstrap,
+    mean_interval,
+    rank_correlation,
+    student_reach,
+)
 from mmqa_lab.stats.neighbours import (
     WAVE_PARTS,
     mean_reach,
@@ -16,5 +23,6 @@ from mmqa_lab.stats.rates import CONSISTENT_SCALE, Errors, Rate, errors, wilson
 
 __all__ = [
     "CONSISTENT_SCALE", "WAVE_PARTS", "Errors", "Interval", "Rate", "bootstrap", "errors",
-    "mean_reach", "median_interval", "median_ratio_interval", "order_parts", "wilson",
+    "mean_interval", "mean_reach", "median_interval", "median_ratio_interval", "order_parts",
+    "rank_correlation", "student_reach", "wilson",
 ]  # fmt: skip

@@ -1,22 +1,25 @@
-"""Intervals of statistics of independent values."""
+"""Intervals of statistics of independent values, and their rank correlation."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
+from scipy.special import stdtrit
 
-from mmqa_lab._checks import check_count
+from mmqa_lab._checks import check_count, check_values
 from mmqa_lab._results import Shown
 
-__all__ = ["Interval", "bootstrap"]
+__all__ = ["Interval", "bootstrap", "mean_interval", "rank_correlation", "student_reach"]
 
 
 @dataclass(frozen=True)
 class Interval(Shown):
-    """A statistic and its bootstrap percentile interval.
+    """A statistic and its 95 % interval.
 
     Parameters
     ----------
@@ -87,3 +90,90 @@ def bootstrap(
     known = drawn[np.isfinite(drawn)]
     low, high = np.quantile(known, [0.025, 0.975]) if 2 * len(known) >= repeats else [np.nan] * 2
     return Interval(float(statistic(*arrays)), float(low), float(high))
+
+
+def student_reach(std: ArrayLike, freedom: ArrayLike) -> np.ndarray:
+    """Return half the 95 % interval of normal values with these standard deviations, by Student.
+
+    Parameters
+    ----------
+    std : array_like
+        Standard errors, in any unit.
+    freedom : array_like
+        Degrees of freedom with which they are known; below one there is no interval.
+
+    Returns
+    -------
+    array
+        In the unit of ``std``; NaN without freedom.
+
+    Examples
+    --------
+    >>> student_reach(1.0, [1, 9, 1000]).round(3).tolist()
+    [12.706, 2.262, 1.962]
+    """
+    return stdtrit(np.where(np.greater(freedom, 0), freedom, np.nan), 0.975) * std
+
+
+def mean_interval(values: ArrayLike, *, of_next: bool = False) -> Interval:
+    """Return the mean of independent values with its 95 % interval by Student's t.
+
+    Parameters
+    ----------
+    values : array_like, shape (n,)
+        NaN if not measurable.
+    of_next : bool
+        The interval of one more value in place of that of the mean.
+
+    Returns
+    -------
+    Interval
+        NaN ends with fewer than two values.
+
+    Raises
+    ------
+    ValueError
+        If a value is infinite.
+
+    See Also
+    --------
+    mean_reach : of values that depend on their neighbours.
+
+    Examples
+    --------
+    >>> found = mean_interval([1.0, 2.0, 3.0, np.nan])
+    >>> found.value, round(found.low, 3), round(found.high, 3)
+    (2.0, -0.484, 4.484)
+    """
+    values = np.asarray(values, dtype=np.float64).ravel()
+    values = check_values(values[~np.isnan(values)], "values")
+    n = len(values)
+    if n < 2:
+        return Interval(float(values[0]) if n else np.nan, np.nan, np.nan)
+    mean, share = float(values.mean()), of_next + 1 / n
+    reach = float(student_reach(values.std(ddof=1) * np.sqrt(share), n - 1))
+    return Interval(mean, mean - reach, mean + reach)
+
+
+def rank_correlation(rows: ArrayLike, truth: ArrayLike) -> np.ndarray:
+    """Return Spearman's correlation of each row with the truth, over the cells that both have.
+
+    Parameters
+    ----------
+    rows : array_like, shape (k, n)
+        NaN if not measurable.
+    truth : array_like, shape (n,)
+
+    Returns
+    -------
+    array, shape (k,)
+        NaN of a row without spread.
+
+    Examples
+    --------
+    >>> rank_correlation([[1, 2, 4], [3, 2, np.nan]], [0.1, 0.5, 0.9]).round(9).tolist()
+    [1.0, -1.0]
+    """
+    with warnings.catch_warnings(action="ignore"):  # a row without spread has none
+        found = pd.DataFrame(np.transpose(rows)).corrwith(pd.Series(truth), method="spearman")
+    return found.to_numpy()

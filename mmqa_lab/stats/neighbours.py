@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import stdtrit
+
+from mmqa_lab.stats.intervals import student_reach
 
 __all__ = ["WAVE_PARTS", "mean_reach", "median_interval", "median_ratio_interval", "order_parts"]
 
@@ -225,7 +226,7 @@ def _reach(rows, block):
     if count < 2:
         return np.full(len(rows), np.nan)
     sums = np.array([np.bincount(ways, row)[filled] for row in rows])
-    return stdtrit(count - 1, 0.975) * np.sqrt((sums**2).sum(axis=1) * count / (count - 1))
+    return student_reach(np.sqrt((sums**2).sum(axis=1) * count / (count - 1)), count - 1)
 
 
 def _reach_by_waves(rows, across, along):
@@ -243,4 +244,4 @@ def _reach_by_waves(rows, across, along):
     variances = np.maximum(sums - apart, apart)
     share = 1 - apart / np.maximum(variances, 1e-300)  # of what whole lines share
     freedom = 1 / (share**2 / count + (1 - share) ** 2 / count**2)
-    return stdtrit(freedom, 0.975) * np.sqrt(variances)
+    return student_reach(np.sqrt(variances), freedom)

@@ -6,12 +6,13 @@ from functools import lru_cache, partial
 
 import numpy as np
 import pandas as pd
-from scipy.stats import chi2, t
+from scipy.stats import chi2
 
 from mmqa_lab import lines
 from mmqa_lab.bench import Comparison, grid
 from mmqa_lab.published import table
 from mmqa_lab.simulate.canyon import COMPARISONS, canyon
+from mmqa_lab.stats import mean_interval
 
 __all__ = [
     "FITTED", "METHODS", "Sets", "Truth", "bench", "measured", "of_scenes", "published_rows",
@@ -262,7 +263,5 @@ def of_scenes(values):
     dict of str to float
         ``value``, ``low`` and ``high``, by Student's t; ``low`` is not below 0.
     """
-    values = values.values[np.isfinite(values)]
-    n, middle = len(values), values.mean()
-    half = t.ppf(0.975, max(n - 1, 1)) * values.std(ddof=min(1, n - 1)) * np.sqrt(1 + 1 / n)
-    return {"value": middle, "low": max(middle - half, 0.0), "high": middle + half}
+    found = mean_interval(values, of_next=True)
+    return {"value": found.value, "low": max(found.low, 0.0), "high": found.high}

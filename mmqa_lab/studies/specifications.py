@@ -10,13 +10,14 @@ from functools import partial
 
 import numpy as np
 import pandas as pd
-from scipy.stats import qmc, t
+from scipy.stats import qmc
 
 from mmqa_lab import bench as benches
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.scan_pattern import Patch, ScanSetup, scan_lattice
 from mmqa_lab.simulate import systems
 from mmqa_lab.simulate.point_patterns import thin
+from mmqa_lab.stats import student_reach
 from mmqa_lab.studies.chart_tables import FIGURES, SENSORS, chart_cloud, read, table_2
 
 __all__ = [
@@ -260,7 +261,7 @@ def compare(cells, passes):
     usual, bounds = (rows.groupby(kept)[names] for rows in (usual, cells))
     fits = {name: rows.groupby(kept)[names] for name, rows in passes.groupby("fit")}
     mean, n = fits["free"].mean(), passes["seed"].nunique()
-    reach = t.ppf(0.975, n - 1) * np.sqrt(1 + 1 / n) * fits["free"].std()
+    reach = fits["free"].std() * student_reach(np.sqrt(1 + 1 / n), n - 1)
     columns = {
         "published": table_2().set_index(kept)[names],
         "predicted": usual.mean(),

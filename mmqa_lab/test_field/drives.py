@@ -7,6 +7,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_points, check_positive
+from mmqa_lab.stats import student_reach
 
 __all__ = ["split_drives", "thinned", "trend"]
 
@@ -100,7 +101,7 @@ def trend(distance: ArrayLike, values: ArrayLike) -> pd.Series:
     >>> found[["slope", "n"]].round(2).tolist()
     [1.01, 4.0]
     """
-    from scipy.stats import linregress, t
+    from scipy.stats import linregress
 
     distance, values = np.asarray(distance, np.float64), np.asarray(values, np.float64)
     known = np.isfinite(values) & np.isfinite(distance)
@@ -111,6 +112,6 @@ def trend(distance: ArrayLike, values: ArrayLike) -> pd.Series:
             "or more at different distances."
         )
     line = linregress(distance, values)
-    half = t.ppf(0.975, len(values) - 2) * line.stderr
+    half = student_reach(line.stderr, len(values) - 2)
     found = {"slope": line.slope, "intercept": line.intercept, "slope_low": line.slope - half}
     return pd.Series(found | {"slope_high": line.slope + half, "p": line.pvalue, "n": len(values)})

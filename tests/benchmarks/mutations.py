@@ -178,7 +178,7 @@ FAULTS = (
     ("chart_image", "1 + (other.charts if other else 0)", "1", "test_chart_photographs.py"),
     ("chart_image", "side(other, layout) > side(", "False and (", "test_chart_photographs.py"),
     ("charts", "LENGTHS & set(vars(one))", "{'pair'} & set(vars(one))", "test_charts.py"),
-    ("bench", "np.sqrt(n)", "np.sqrt(n - 1)", "test_bench.py"),
+    ("stats", "of_next + 1 / n", "of_next + 1 / (n - 1)", "test_bench.py test_stats.py"),
     ("bench", "for case in draw", "for case in sorted(set(draw))", "test_bench.py"),
     ("bench", 'transform("sum") == cells', 'transform("sum") > 0', "test_bench.py"),
     ("bench", '"display.max_colwidth", None', '"display.max_colwidth", 50', "test_bench.py"),
