@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice, check_number, check_points, check_positive
 from mmqa_lab.chart_cloud.doubts import remark_on_form, remark_on_layers, remarks_on_points
+from mmqa_lab.chart_cloud.parts import remark_on_part
 from mmqa_lab.chart_cloud.quality import CloudQuality
 from mmqa_lab.chart_cloud.selection import outline_on, selected
 from mmqa_lab.planes import CONSISTENT_SCALE, checked_plane, sigma_mad
@@ -124,6 +125,7 @@ def evaluate_cloud(
     step_mm = 1000 * np.fmax.reduce([resolution, _step(points), np.spacing(np.abs(points).max())])
     remarks = remarks_on_points(gaps, step_mm, sigma_mad_mm, hull.area, outline.area, axes)
     remarks += tuple(remark_on_layers(1000 * plane.residuals, step_mm))
+    remarks += remark_on_part(points, plane, sigma_mad_mm, scale, step_mm)
     remarks += tuple(remark_on_form(xy, 1000 * plane.residuals, step_mm, scale))
     return CloudQuality(
         area_polygon_m2=np.nan if polygon is None else outline.area,

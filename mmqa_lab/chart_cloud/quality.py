@@ -327,7 +327,11 @@ class CloudQuality(Shown):
         spacings.legend(loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0)
         half = max(4 * self.sigma_mad_mm, 0.5)
         shown = np.clip(1000 * self.plane.residuals, -half, half)
-        residuals.hist(shown, bins=61, color=COLOURS["sky"], histtype="stepfilled")
+        width = half / 30
+        if self.step_mm > width / 9:  # bins that are no multiples of the step would be a comb
+            width = self.step_mm * max(1, round(width / self.step_mm))
+        edges = width * (np.arange(-np.ceil(half / width), np.ceil(half / width) + 2) - 0.5)
+        residuals.hist(shown, bins=edges, color=COLOURS["sky"], histtype="stepfilled")
         for value, name, colour, dash in (
             (self.std_mm, "std", "vermilion", "-"),
             (self.sigma_mad_mm, r"$\sigma_\mathrm{MAD}$", "black", "--"),

@@ -1,0 +1,48 @@
+"""A part of a surface that stands off the rest is said, and steps of coordinates are no comb."""
+
+import re
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+from mmqa_lab.chart_cloud import evaluate_cloud
+
+
+def sill(rng, share):
+    """A facade of 4 m x 1.4 m with 10 mm of noise; a share of it at its foot is 6 cm proud."""
+    x, y = rng.uniform(0, 1, (2, 6000)) * [[4], [1.4]]
+    proud = 0.06 * (y < 1.4 * share)
+    return np.stack([x, 0.01 * rng.standard_normal(6000) + proud, y], axis=1)
+
+
+def test_a_part_that_turns_the_plane_is_said_with_both_figures(rng):
+    points = sill(rng, 0.07)
+    quality = evaluate_cloud(points)
+    (said,) = [one for one in quality.remarks if "turn the plane" in one]
+    found = [float(one) for one in re.findall(r"[\d.]+(?= mm)", said)]
+    assert found[0] == pytest.approx(quality.sigma_mad_mm, abs=0.06)
+    assert found[1] == pytest.approx(10, rel=0.06)
+    assert found[1] < 0.9 * found[0]
+    assert 0.06 < int(said.split()[0]) / 6000 < 0.08
+    turned = np.degrees(np.arccos(abs(quality.plane.normal[1])))
+    assert float(re.search(r"by ([\d.]+) degrees", said)[1]) == pytest.approx(turned, rel=0.2)
+
+
+def test_flat_boards_and_few_strays_turn_no_plane(rng):
+    boards = [sill(rng, 0)[: 100 + 9 * k] for k in range(60)]
+    boards += [board * [1, rng.exponential(), 1] for board in boards]  # of any noise
+    for board in boards[::2]:
+        board[: len(board) // 200, 1] += 0.2
+    said = [one for board in boards for one in evaluate_cloud(board).remarks]
+    assert not [one for one in said if "turn the plane" in one]
+
+
+def test_bins_of_the_histogram_are_multiples_of_the_step(rng):
+    points = np.round(sill(rng, 0) * [1, 0.3, 1], 3)  # 3 mm of noise in steps of 1 mm
+    figure, axes = plt.subplots(2)
+    evaluate_cloud(points).draw_histograms(*axes)
+    x, y = axes[1].patches[0].get_xy().T
+    counts = y[(np.abs(x) < 4) & (y > 0)]
+    assert counts.min() > 0.3 * counts.max()  # no comb
+    plt.close(figure)
