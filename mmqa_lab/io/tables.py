@@ -6,6 +6,7 @@ import csv
 import os
 import re
 import warnings
+from collections import Counter
 from collections.abc import Sequence
 from io import BytesIO
 
@@ -21,7 +22,8 @@ from mmqa_lab._checks import (
     refuse,
 )
 from mmqa_lab.cloud import unit_remarks
-from mmqa_lab.io.files import plain_text
+from mmqa_lab.io.files import plain_text, reading
+from mmqa_lab.io.numbers import parsed
 
 __all__ = [
     "coordinate_columns", "read_segments", "read_table", "read_trajectory", "text_places",
@@ -56,8 +58,13 @@ NO_HEIGHT_M = 9999.0
 # Squares of numbers as large as this overflow.
 NO_NUMBER = 1e100
 
-# What C and Fortran write for no number, besides what pandas knows.
+# What C and Fortran write for no number, besides what pandas knows; what spreadsheets write.
 NO_NUMBERS = ("nan(ind)", "-nan(ind)", "nan(snan)", "-nan(snan)")
+ERROR_WORDS = re.compile(rb"#(N/A|REF!|VALUE!|DIV/0!|NAME\?|NUM!|NULL!)|-?1\.#[A-Z]+\d*")
+
+# Excel's line that names the separator, and a unit in a row of units.
+SEPARATOR_LINE = re.compile(rb'"?sep=."?\s*')
+UNIT = re.compile(r"|[(\[].*[)\]]|m|s|sec|deg|rad|gon|degrees|metres|meters|seconds")
 
 # Rows of a text that tell its separator, decimal sign and names.
 SAMPLE = 60
@@ -67,50 +74,79 @@ def text_table(path: str | os.PathLike, name: str, *, header: str = "") -> pd.Da
     """Read a text file as a table; columns without names are x, y, z, column_4, column_5, ...
 
     Columns stand between white space, commas, semicolons or tabs. ``#``, ``//`` and ``%`` begin a
-    comment; the last one ahead of the rows may name x, y and z. A count in the first line (PTS) and
-    the line ``sep=;`` of Excel are passed over, exponents may be written with D. ``header`` lists
-    what a file must name.
+    comment: of a line, or behind blank space after the last column. The last one ahead of the rows
+    may name x, y and z. A count in the first line (PTS) and the line ``sep=;`` of Excel are passed
+    over, a title above the header with a word; a row of units below it becomes part of the names.
+    Exponents may be written with D. ``header`` lists what a file must name.
     """
-    what, raw = f"{name} {path}", _plain_rows(plain_text(check_file(path, name)))
+    what, raw = f"{name} {path}", _plain_rows(sheet_text(path, name))
     comment, lines = "", []
     for found in re.finditer(rb"[^\n]+", raw):
-        line, _, remark = found[0].decode(errors="replace").strip().partition("#")
-        if not line:
-            comment = comment if lines else remark
-        elif lines or not re.fullmatch(r'"?sep=."?', line):
-            lines.append((found.start(), line.strip()))
+        line = found[0].decode(errors="replace").strip()
+        if line.startswith("#"):
+            comment = comment if lines else line
+        elif line and (lines or not SEPARATOR_LINE.fullmatch(found[0])):
+            lines.append((found.start(), line.partition(" #")[0].strip()))
         if len(lines) == SAMPLE:
             break
     if len(lines) > 1 and lines[0][1].isdigit() and not lines[1][1].isdigit():
         del lines[0]  # the count of the points
     refuse(not lines, what, "no rows", "rows of columns")
     words = [_words(line) for _, line in lines]
-    first, separator = lines[0][0], _separator(lines[-1][1])
-    names = comment_names = _words(comment.lstrip("/# "))
-    if not _is_data(words[0]):
-        names, first = words[0], (lines[1][0] if len(lines) > 1 else len(raw))
-    elif len(coordinate_columns(comment_names)) < 3:
+    usual = Counter(map(len, words)).most_common(1)[0][0]
+    above = next((k for k, one in enumerate(words) if len(one) == usual and _is_data(one)), 1)
+    first = lines[above][0] if len(lines) > above else len(raw)
+    names, separator = _words(comment.lstrip("/# ")), _separator(lines[-1][1])
+    if above:
+        names, titles = _header(words[:above])
+        if titles:
+            warnings.warn(f"Passed over what stands above the header of {what}.", stacklevel=4)
+    elif len(coordinate_columns(names)) < 3:
         names = None
     if header and names is None:
         raise ValueError(f"Invalid {what}: no header. Must have one with {header}.")
-    stream = BytesIO(raw)
-    stream.seek(first)
-    comma = separator != "," and "," in lines[-1][1]
-    layout = {"header": None, "comment": "#", "decimal": "," if comma else "."}
-    table = _read_csv(stream, what, before=raw.count(b"\n", 0, first), sep=separator, **layout)
-    split = separator == "," and _has_split_numbers(words[1:] if names else words, names)
+    layout = {"header": None, "sep": separator, "before": raw.count(b"\n", 0, first)}
+    rows = raw[first:]
+    if b"#" in rows:
+        inside = rb"[^,;\t\n]" if separator != r"\s+" else rb"[^\n]"
+        rows = re.sub(rb"(?m)^[ \t]*#.*$|[ \t]#" + inside + rb"*$", b"", rows)
+    table = _read_csv(BytesIO(rows), what, **layout)
+    split = separator == "," and _has_split_numbers(words[above:], names)
     refuse(split, what, "decimal commas between commas", "told apart")
+    if any(b"," in rows and table[k].dtype.kind not in "iufb" for k in table):
+        texts = _read_csv(BytesIO(rows), what, dtype=object, keep_default_na=False, **layout)
+        table = parsed(texts, what, separator=separator)
     return _with_names(table, names, what)
+
+
+def sheet_text(path, name):
+    """The text of a file of rows: of a workbook, the first sheet as CSV."""
+    if check_file(path, name).suffix.lower() not in (".xlsx", ".xlsm"):
+        return plain_text(path)
+    with reading(path, name, "an Excel workbook"):
+        sheets = pd.read_excel(path, sheet_name=None, header=None, dtype=object, na_filter=False)
+    if len(sheets) > 1:
+        warnings.warn(f"Read the first of {len(sheets)} sheets of {path}.", stacklevel=4)
+    return next(iter(sheets.values())).to_csv(index=False, header=False).encode()
+
+
+def _header(rows):
+    """The names of columns in the rows above the first data, and the number of titles above."""
+    last = rows[-1] if len(rows) > 1 else ["x"]
+    units = last if all(map(UNIT.fullmatch, last)) or UNIT.fullmatch(",".join(last)) else []
+    *titles, names = rows[:-1] if units else rows
+    if len(units) == len(names):
+        names = [f"{name} [{unit.strip('()[]')}]" for name, unit in zip(names, units, strict=True)]
+    return names, len(titles)
 
 
 def _plain_rows(raw):
     """A text with # for every comment, numbers as they are written in C and nan for no number."""
+    raw = ERROR_WORDS.sub(b"nan", raw) if b"#" in raw else raw
     if b"/" in raw:
-        raw = re.sub(rb"(?<!:)//", b"#", raw)  # an address has : before it
+        raw = re.sub(rb"(?m)(^|(?<=[ \t]))//", b"#", raw)
     if b"%" in raw or b"!" in raw:
         raw = re.sub(rb"(?m)^[%!]", b"#", raw)
-    if b"#" in raw and b"1.#" in raw:
-        raw = re.sub(rb"-?1\.#[A-Z]+\d*", b"nan", raw)
     if b"D" in raw or b"d" in raw:
         raw = re.sub(rb"(?<=[\d.])[dD](?=[+-]\d)", b"e", raw)
     return raw
@@ -196,25 +232,38 @@ def text_places(path: str | os.PathLike, name: str, *, finite: bool = True) -> t
 
 
 def read_table(path: str | os.PathLike, name: str, columns: Sequence[str] = ()) -> pd.DataFrame:
-    """Return a CSV file as a table, or raise a sentence where it is none or a column is missing.
+    """Return a CSV file or a workbook as a table, or raise a sentence where it is none.
 
-    Semicolons or tabs between columns are read too, then with decimal commas where there are some;
-    rows without any entry are passed over.
+    Semicolons or tabs between columns are read too. Columns of nothing but numbers are numbers
+    (:func:`mmqa_lab.io.numbers.parsed` says how they may be written), but for names of systems,
+    criteria, images and the like; others are texts as they stand. Rows without any entry and a
+    title above the header are passed over.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If rows and names do not agree, a column is missing, or thousands cannot be told from
+        decimals.
     """
-    what, raw = f"{name} {path}", plain_text(check_file(path, name))
-    raw = re.sub(rb'\A"?sep=."?\n', b"", raw)
-    head, _, rows = raw.lstrip(b"\n").partition(b"\n")
-    separator = max(b",;\t", key=head.count)
-    marks = {"sep": chr(separator)}
-    if marks["sep"] != "," and re.search(rb"\d,\d", rows):
-        marks["decimal"] = ","
-    names = next(csv.reader([head.decode(errors="replace")], delimiter=marks["sep"]), [])
-    names = [name.strip() for name in names]
-    refuse(not names, what, "no rows", "rows of columns")
-    most = 1 + max(line.count(separator) for line in rows.splitlines() or [head])
-    layout = {"names": range(max(most, len(names))), "index_col": False} | marks
-    table = _with_names(_read_csv(BytesIO(rows), what, **layout), names, what)
-    table = table.dropna(how="all", ignore_index=True)
+    what, raw = f"{name} {path}", sheet_text(path, name)
+    lines = [line for line in raw.split(b"\n") if line.strip(b",;\t ")]
+    lines = lines[1:] if lines and SEPARATOR_LINE.fullmatch(lines[0]) else lines
+    refuse(not lines, what, "no rows", "rows of columns")
+    separator = max(b",;\t", key=lambda mark: sorted(row.count(mark) for row in lines[:2]))
+    inside = [line.strip(b",;\t ").count(separator) for line in lines[:2]]
+    if inside[0] == 0 < inside[-1]:
+        told = f"Passed over the title {lines.pop(0).decode(errors='replace').strip(',; ')!r}"
+        warnings.warn(f"{told} of {what}.", stacklevel=2)
+    names, *_ = csv.reader([lines[0].decode(errors="replace")], delimiter=chr(separator))
+    most = max(line.count(separator) for line in lines) + 1
+    layout = {"names": range(max(most, len(names))), "index_col": False, "sep": chr(separator)}
+    layout |= {"dtype": object, "keep_default_na": False}
+    rows = _read_csv(BytesIO(b"\n".join(lines[1:])), what, **layout) if lines[1:] else []
+    table = pd.DataFrame(rows, columns=layout["names"]).replace("", np.nan)
+    table = _with_names(table, [name.strip() for name in names], what)
+    table = parsed(table.dropna(how="all", ignore_index=True), what, separator=chr(separator))
     check_columns(table, columns, what)
     return table
 
