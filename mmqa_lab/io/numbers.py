@@ -12,15 +12,26 @@ from mmqa_lab._checks import refuse
 __all__ = ["parsed"]
 
 # Columns that name something: 001, 1E5 and NA are names there. Nothing in the last three is "".
-NAMING = ("name", "id", "system", "criterion", "quantity", "image", "file", "crop", "juror", "code")
-SAID = ("reason", "remarks", "rejected_by")
+NAME_COLUMNS = (
+    "name",
+    "id",
+    "system",
+    "criterion",
+    "quantity",
+    "image",
+    "file",
+    "crop",
+    "juror",
+    "code",
+)
+REMARK_COLUMNS = ("reason", "remarks", "rejected_by")
 
 # What stands for no number, also in C and in spreadsheets; a number; one that must be a name.
-MISSING = r"(?:-?nan(?:\(s?n?a?n?(?:ind)?\))?|n/?a|null|none|<na>|-|#n/a)?"
-NUMBER = r"[+-]?(?:\d+(?:[.,]\d+)*[.,]?|[.,]\d+)(?:e[+-]?\d+)?(?:\s?%)?|[+-]?inf(?:inity)?"
-NOTHING = re.compile(rf"^{MISSING}$", re.I | re.M)
-NO_NUMBER = re.compile(rf"^(?!(?:{NUMBER}|{MISSING})$).*$", re.I | re.M)
-NUMBERED = re.compile(r"^0\d+$", re.M)
+MISSING_WORDS = r"(?:-?nan(?:\(s?n?a?n?(?:ind)?\))?|n/?a|null|none|<na>|-|#n/a)?"
+PLAIN_NUMBER = r"[+-]?(?:\d+(?:[.,]\d+)*[.,]?|[.,]\d+)(?:e[+-]?\d+)?(?:\s?%)?|[+-]?inf(?:inity)?"
+MISSING_ENTRY = re.compile(rf"^{MISSING_WORDS}$", re.I | re.M)
+NO_PLAIN_NUMBER = re.compile(rf"^(?!(?:{PLAIN_NUMBER}|{MISSING_WORDS})$).*$", re.I | re.M)
+LEADING_ZEROS = re.compile(r"^0\d+$", re.M)
 
 # So many columns of nothing but numbers with three digits behind a sign are no thousands.
 FEWEST_ALIKE = 3
@@ -46,9 +57,15 @@ def parsed(table: pd.DataFrame, what: str, *, separator: str = ",") -> pd.DataFr
     for name in table:
         texts = table[name].fillna("").astype(str).str.strip()
         plain, text = str(name).lower().strip(), GAPS.sub("", "\n".join(texts))
-        names = plain in (*NAMING, *SAID) or NO_NUMBER.search(text) or NUMBERED.search(text)
+        names = (
+            plain in (*NAME_COLUMNS, *REMARK_COLUMNS)
+            or NO_PLAIN_NUMBER.search(text)
+            or LEADING_ZEROS.search(text)
+        )
         if names:
-            found[name] = texts.where(texts != "", "" if plain in SAID else np.nan).astype(object)
+            found[name] = texts.where(
+                texts != "", "" if plain in REMARK_COLUMNS else np.nan
+            ).astype(object)
         else:
             numbers[name] = text
     few = len(numbers) < FEWEST_ALIKE
@@ -56,7 +73,7 @@ def parsed(table: pd.DataFrame, what: str, *, separator: str = ",") -> pd.DataFr
     for name, text in numbers.items():
         percent = "" if re.search("percent|%", str(name).lower()) else "e-2"
         bare = text.replace("." if comma else ",", "").replace(",", ".")
-        bare = re.sub(r"\s?%", percent, NOTHING.sub("nan", bare)) if len(table) else ""
+        bare = re.sub(r"\s?%", percent, MISSING_ENTRY.sub("nan", bare)) if len(table) else ""
         values = pd.Series([*map(float, bare.split())], table.index, dtype=np.float64)
         whole = re.fullmatch(r"[-+\d\s]*", bare) and values.abs().max() < 2**53
         found[name] = values.astype(np.int64) if whole else values

@@ -18,6 +18,7 @@ from mmqa_lab._checks import (
     check_file,
     coordinate_columns,
     listed,
+    needs,
     plain_name,
     refuse,
 )
@@ -64,7 +65,7 @@ ERROR_WORDS = re.compile(rb"#(N/A|REF!|VALUE!|DIV/0!|NAME\?|NUM!|NULL!)|-?1\.#[A
 
 # Excel's line that names the separator, and a unit in a row of units.
 SEPARATOR_LINE = re.compile(rb'"?sep=."?\s*')
-UNIT = re.compile(r"|[(\[].*[)\]]|m|s|sec|deg|rad|gon|degrees|metres|meters|seconds")
+UNIT_WORD = re.compile(r"|[(\[].*[)\]]|m|s|sec|deg|rad|gon|degrees|metres|meters|seconds")
 
 # Rows of a text that tell its separator, decimal sign and names.
 SAMPLE = 60
@@ -123,6 +124,7 @@ def sheet_text(path, name):
     """The text of a file of rows: of a workbook, the first sheet as CSV."""
     if check_file(path, name).suffix.lower() not in (".xlsx", ".xlsm"):
         return plain_text(path)
+    needs("files", "openpyxl")
     with reading(path, name, "an Excel workbook"):
         sheets = pd.read_excel(path, sheet_name=None, header=None, dtype=object, na_filter=False)
     if len(sheets) > 1:
@@ -133,7 +135,9 @@ def sheet_text(path, name):
 def _header(rows):
     """The names of columns in the rows above the first data, and the number of titles above."""
     last = rows[-1] if len(rows) > 1 else ["x"]
-    units = last if all(map(UNIT.fullmatch, last)) or UNIT.fullmatch(",".join(last)) else []
+    units = (
+        last if all(map(UNIT_WORD.fullmatch, last)) or UNIT_WORD.fullmatch(",".join(last)) else []
+    )
     *titles, names = rows[:-1] if units else rows
     if len(units) == len(names):
         names = [f"{name} [{unit.strip('()[]')}]" for name, unit in zip(names, units, strict=True)]
