@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike
 
-from mmqa_lab._checks import check_choice, check_columns, check_plan, check_points, check_same_crs
+from mmqa_lab._checks import (
+    check_choice,
+    check_columns,
+    check_plan,
+    check_points,
+    check_positive,
+    check_same_crs,
+    real_array,
+    refuse,
+)
 
 if TYPE_CHECKING:
     from pyproj import CRS
@@ -192,7 +201,9 @@ def extent(points: np.ndarray) -> np.ndarray:
     >>> extent(np.array([[0.0, 5.0], [2.0, 3.0]])).tolist()
     [[0.0, 3.0], [2.0, 5.0]]
     """
-    return np.array([[axis.min() for axis in points.T], [axis.max() for axis in points.T]])
+    axes = real_array(points, "points").T
+    refuse(axes.ndim != 2 or not axes.size, "points", f"shape {axes.T.shape}", "rows of numbers")
+    return np.array([[axis.min() for axis in axes], [axis.max() for axis in axes]])
 
 
 def unit_remarks(
@@ -234,7 +245,7 @@ def unit_remarks(
     >>> unit_remarks(in_metres / [1e5, 1e5, 1] + [11.5, 48.1, 500])
     ['Coordinates look like degrees, but are taken for metres.']
     """
-    points = np.asarray(points)
+    points = check_points(points, minimum=0)
     if crs is not None and crs.is_geocentric:
         return [f"Coordinates are geocentric ({crs.name}): z is not upwards."]
     if len(points) < FEWEST_FOR_UNIT or (crs is not None and crs.is_geographic):
@@ -323,7 +334,7 @@ def cells_of(points: ArrayLike, size: float) -> np.ndarray:
     >>> cells_of([[0.3, 0.29], [-0.1, 10_000_000.3]], 0.1).tolist()
     [[3, 2], [-1, 100000003]]
     """
-    places = np.asarray(points) / size
+    places = check_points(points, columns=None, minimum=0) / check_positive(size, "size")
     places += ON_BORDER
     return np.floor(places, out=places).astype(np.int64)
 
@@ -359,6 +370,7 @@ def sort_into_cells(points: np.ndarray, size: float) -> tuple[np.ndarray, ...]:
     ([1, 0, 2], [0, 1, 3], [[0, 0], [1, 0]])
     """
     index = cells_of(points, size)
+    refuse(not len(index), "points", "none", "one or more")
     low = np.array([column.min() for column in index.T])
     index -= low
     wide = np.array([column.max() for column in index.T]) + 1

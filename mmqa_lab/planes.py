@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_points, check_positive
+from mmqa_lab._checks import check_points, check_positive, real_array
 from mmqa_lab._results import Shown, about
 from mmqa_lab.stats import CONSISTENT_SCALE
 
@@ -176,9 +176,10 @@ def flat_points(points: ArrayLike, *, minimum: int = 1) -> np.ndarray:
     >>> flat_points([[0, 5, 0], [4, 5, 0], [0, 5, 2], [4, 5, 2]]).round(6).tolist()
     [[-2.0, 1.0], [2.0, 1.0], [-2.0, -1.0], [2.0, -1.0]]
     """
-    if np.shape(points)[1:] != (3,):
+    points = check_points(points, name="xy", columns=None, minimum=minimum)
+    if points.shape[1] != 3:
         return check_points(points, name="xy", columns=2, minimum=minimum)
-    points = check_points(points, name="xy", minimum=max(minimum, 3))
+    check_points(points, name="xy", minimum=max(minimum, 3))
     return checked_plane(points).project(points)
 
 
@@ -273,7 +274,7 @@ def sigma_mad(residuals: ArrayLike, scale: float = CONSISTENT_SCALE) -> float:
     >>> round(sigma_mad([-2, -1, 0, 1, 2]), 4)
     1.4826
     """
-    residuals = np.asarray(residuals, dtype=np.float64)
+    residuals = real_array(residuals, "residuals").astype(np.float64)
     if residuals.ndim != 1 or not len(residuals) or not np.isfinite(residuals).all():
         shape = residuals.shape
         raise ValueError(f"Invalid residuals of shape {shape}. Must be a row of finite numbers.")

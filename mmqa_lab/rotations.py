@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mmqa_lab._checks import check_together
+
 __all__ = ["across", "rotations", "turned"]
 
 
@@ -16,7 +18,8 @@ def rotations(roll: ArrayLike, pitch: ArrayLike, heading: ArrayLike) -> np.ndarr
     >>> (rotations(0, 0, np.pi / 2) @ [0, 1, 0]).round(12).tolist()
     [1.0, 0.0, 0.0]
     """
-    angles = np.array(np.broadcast_arrays(roll, pitch, heading), dtype=np.float64)
+    angles = check_together(roll=roll, pitch=pitch, heading=heading)
+    angles = np.array(np.broadcast_arrays(*angles))
     (sr, sp, sh), (cr, cp, ch) = np.sin(angles), np.cos(angles)
     rows = [
         [ch * cr + sh * sp * sr, sh * cp, ch * sr - sh * sp * cr],

@@ -15,7 +15,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from mmqa_lab import published
-from mmqa_lab._checks import check_choice, check_columns, check_positive, needs, refuse
+from mmqa_lab._checks import check_choice, check_columns, check_positive, check_row, needs, refuse
 from mmqa_lab._results import Shown
 from mmqa_lab.chart_image.maps import ChartMap
 from mmqa_lab.chart_image.tones import find_tones
@@ -110,10 +110,10 @@ def expected_marks(cap_px: ArrayLike) -> pd.DataFrame:
     >>> expected_marks([30.0, 11.3, 9.5, 5.0])[["mark", "best", "worst"]].values.tolist()
     [['a', 'a', 'a'], ['a', 'a', 'b'], ['b', 'b', 'c'], ['c', 'c', 'c']]
     """
-    table = pd.DataFrame({"cap_px": np.atleast_1d(np.asarray(cap_px, dtype=float))})
+    table = pd.DataFrame({"cap_px": check_row(np.atleast_1d(cap_px), "cap_px", missing=True)})
     for name, limits in _limits().iterrows():
         steps = (table[["cap_px"]].to_numpy() < limits.to_numpy()).sum(axis=1)
-        table[name] = np.array(MARKS, dtype=object)[steps]
+        table[name] = np.where(table["cap_px"].notna(), np.array(MARKS, dtype=object)[steps], None)
     return table
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
+from mmqa_lab._checks import check_values
 from mmqa_lab._results import Shown, sentences
 from mmqa_lab.chart_image.maps import ChartMap
 from mmqa_lab.chart_image.tones import Tones
@@ -277,9 +278,9 @@ def expected_contrast(width_px, sigma_px, blur_px=0.0):
     >>> round(float(expected_contrast(100.0, 0.5)), 2), round(float(expected_contrast(2.5, 0.5)), 2)
     (1.0, 0.37)
     """
-    total = 0.0
+    total, width_px = 0.0, check_values(width_px, "width_px", positive=True)
     for order in (1, 3, 5, 7):
-        rate = order / np.asarray(width_px, dtype=float)
+        rate = order / width_px
         transfer = np.exp(-2 * (np.pi * rate * sigma_px) ** 2) * np.sinc(rate)
         # mean of the harmonic over a bar's middle, weighted by the same raised cosine
         ends = np.sin(np.pi / 2 * np.array([order, order + 2, order - 2]))

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_columns, check_positive, refuse
+from mmqa_lab._checks import check_columns, check_points, check_positive, refuse
 from mmqa_lab.chart_image.maps import four_corners
 
 __all__ = ["PLACE_COLUMNS", "chart_site", "choose_images"]
@@ -108,15 +108,16 @@ def choose_images(stations: pd.DataFrame, corners: ArrayLike, *, distance: float
     distance = check_positive(distance, "distance", unit="m")
     check_columns(stations, PLACE_COLUMNS, "stations")
     refuse(len(stations) < 2, "stations", f"{len(stations)} given", "two or more")
+    places = check_points(stations[PLACE_COLUMNS].to_numpy(), name="stations")
     corners = four_corners(corners, columns=3)
     right, up = corners[[1, 3]] - corners[0] + corners[2] - corners[[3, 1]]
     right, up = right / np.linalg.norm(right), up / np.linalg.norm(up)
     normal = np.cross(right, up)
-    away = stations[PLACE_COLUMNS].to_numpy(dtype=float) - corners.mean(axis=0)
+    away = places - corners.mean(axis=0)
     view = _view(right, normal, away)
     angle = np.degrees(np.arctan2(np.abs(away @ right), away @ normal))
     seen = {"distance_m": np.linalg.norm(away, axis=1), "off_normal_deg": angle}
-    seen = pd.DataFrame(seen, index=stations.index)[away @ normal > 0]
+    seen = pd.DataFrame(seen)[away @ normal > 0]
     if view != ALONG:
         seen = seen[seen["distance_m"] >= distance]
     if seen.empty:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mmqa_lab._checks import check_choice
+from mmqa_lab._checks import check_choice, real_array, refuse
 
 __all__ = ["decode", "encode"]
 
@@ -26,7 +26,7 @@ def encode(values: np.ndarray, gamma: str) -> np.ndarray:
     """
     if check_choice(gamma, "gamma", GAMMAS) == "linear":
         return values
-    values = np.clip(values, 0, 1)
+    values = np.clip(_grey(values), 0, 1)
     curve = 1.055 * np.maximum(values, KNEE) ** (1 / 2.4) - 0.055
     return np.where(values <= KNEE, 12.92 * values, curve).astype(values.dtype)
 
@@ -41,5 +41,13 @@ def decode(values: np.ndarray, gamma: str) -> np.ndarray:
     """
     if check_choice(gamma, "gamma", GAMMAS) == "linear":
         return values
+    values = _grey(values)
     curve = ((np.maximum(values, 12.92 * KNEE) + 0.055) / 1.055) ** 2.4
     return np.where(values <= 12.92 * KNEE, values / 12.92, curve).astype(values.dtype)
+
+
+def _grey(values):
+    """Grey values in their type, if that has fractions."""
+    values = real_array(values, "grey values")
+    refuse(not np.isfinite(values).all(), "grey values", "some not finite", "finite")
+    return values if values.dtype.kind == "f" else values.astype(np.float64)

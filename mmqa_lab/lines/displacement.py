@@ -23,10 +23,16 @@ from scipy import stats
 
 from mmqa_lab._checks import check_number
 from mmqa_lab._results import Shown, about, sentences
-from mmqa_lab.lines.pairing import levers, paired
+from mmqa_lab.lines.pairing import check_pairs, levers, paired
 from mmqa_lab.lines.paths import Search, together
 from mmqa_lab.lines.refinement import refined
-from mmqa_lab.lines.segments import components, from_common_origin, lengths, midpoints
+from mmqa_lab.lines.segments import (
+    check_segments,
+    components,
+    from_common_origin,
+    lengths,
+    midpoints,
+)
 from mmqa_lab.lines.settings import (
     CHANGE,
     CHANGED_M,
@@ -122,7 +128,8 @@ def fit_displacement(test: ArrayLike, model: ArrayLike, pairs: ArrayLike) -> Dis
     >>> (shift.vector.round(2) + 0).tolist()
     [0.3, 0.0, 0.1]
     """
-    pairs = np.asarray(pairs)
+    test, model = check_segments(test, "test"), check_segments(model, "model")
+    pairs = check_pairs(pairs, (len(test), len(model)))
     rows, columns = np.nonzero(pairs)
     unknown = Displacement(np.full(3, np.nan), np.full((3, 3), np.nan), pairs, np.nan, np.zeros(3))
     if len(np.unique(rows)) < 3:

@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import ArrayLike
 from scipy.optimize import linear_sum_assignment
 
-from mmqa_lab._checks import check_choice, check_positive
+from mmqa_lab._checks import check_choice, check_positive, check_together, real_array, refuse
 from mmqa_lab._results import Shown
 from mmqa_lab.lines.segments import directions, from_common_origin, lengths, midpoints
 from mmqa_lab.rotations import across
@@ -95,7 +95,7 @@ def peak_threshold(
     """
     from scipy.signal import find_peaks  # slow to import, and known pairs do not need it
 
-    nearest = np.sort(np.asarray(nearest, dtype=np.float64))
+    nearest = np.sort(np.atleast_1d(real_array(nearest, "nearest distances")).astype(np.float64))
     if nearest.ndim != 1 or not np.isfinite(nearest).all() or (nearest < 0).any():
         raise ValueError(f"Invalid nearest distances {nearest}. Must be a row of numbers >= 0 m.")
     sensitivity = check_positive(sensitivity, "sensitivity", unit="m")
@@ -156,7 +156,8 @@ def correspond(
     (np.int64(3), np.int64(1))
     """
     check_choice(matcher, "matcher", MATCHERS)
-    distances = np.asarray(distances, dtype=np.float64)
+    (distances,) = check_together(distances=distances)
+    refuse(distances.ndim != 2, "distances", f"shape {distances.shape}", "a table")
     near = distances <= delta
     if matcher == "fragments":
         test, model = from_common_origin(np.asarray(test), np.asarray(model))

@@ -24,7 +24,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_choice, check_number, check_points
+from mmqa_lab._checks import check_choice, check_number, check_points, real_array
 from mmqa_lab._compiled import in_threads
 
 __all__ = [
@@ -48,8 +48,8 @@ def check_segments(segments: ArrayLike, name: str = "segments") -> np.ndarray:
     Traceback (most recent call last):
     ValueError: Invalid segments: no length in row 0. Must have two different ends.
     """
-    values = np.asarray(segments)
-    if values.size and values.shape[1:] != (2, 3):
+    values = real_array(segments, name)
+    if values.ndim < 1 or (values.size and values.shape[1:] != (2, 3)):
         raise ValueError(f"Invalid {name} of shape {values.shape}. Must have shape (n, 2, 3).")
     ends = check_points(values.reshape(-1, 3), name=name, minimum=0).reshape(-1, 2, 3)
     # beyond 100 km float32 represents coordinates to 8 mm at best (IEEE 754: 24 bits)
@@ -64,17 +64,18 @@ def check_segments(segments: ArrayLike, name: str = "segments") -> np.ndarray:
 
 def lengths(segments: ArrayLike) -> np.ndarray:
     """Lengths of segments (n, 2, 3), shape (n,), m."""
-    return np.linalg.norm(np.diff(segments, axis=1)[:, 0], axis=1)
+    return np.linalg.norm(np.diff(check_segments(segments), axis=1)[:, 0], axis=1)
 
 
 def directions(segments: ArrayLike) -> np.ndarray:
     """Unit vectors of segments (n, 2, 3) from the first end to the second, shape (n, 3)."""
+    segments = check_segments(segments)
     return np.diff(segments, axis=1)[:, 0] / lengths(segments)[:, None]
 
 
 def midpoints(segments: ArrayLike) -> np.ndarray:
     """Midpoints of segments (n, 2, 3), shape (n, 3), m."""
-    segments = np.asarray(segments)
+    segments = check_segments(segments)
     return segments[:, 0] + (segments[:, 1] - segments[:, 0]) / 2
 
 

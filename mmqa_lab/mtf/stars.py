@@ -14,7 +14,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares, minimize_scalar
 
-from mmqa_lab._checks import check_count, check_number, check_positive, refuse
+from mmqa_lab._checks import check_count, check_image, check_number, check_positive, refuse
 from mmqa_lab._results import Shown, about
 from mmqa_lab.mtf.star_doubts import STAR_PARTS, check_cycles, clipped_side, remark_on
 from mmqa_lab.mtf.transfer import FREQUENCIES, LENS_TRANSFERS, SIGMOID_PX, crossing, lens_mtf
@@ -188,7 +188,7 @@ def measure_star(
     >>> bool(found.mtf[0] > 0.97), [round(c, 1) for c in found.centre]  # no blur but the pixel
     (True, [79.5, 79.5])
     """
-    grey = np.asarray(image, dtype=np.float64)
+    grey = check_image(image)
     n = check_count(cycles, "cycles", low=2)
     radius = check_positive(radius_px, "radius_px", unit="px")
     x0, y0 = (check_number(value, "centre", unit="px") for value in centre)

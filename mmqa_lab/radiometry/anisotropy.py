@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import refuse
+from mmqa_lab._checks import check_together, refuse
 from mmqa_lab._results import Shown
 
 __all__ = ["WalthallFit", "fit_walthall", "walthall_terms"]
@@ -54,7 +54,9 @@ def fit_walthall(reflectance: ArrayLike, view_zenith: ArrayLike, azimuth: ArrayL
     >>> fit.coefficients.round(6).tolist(), float(fit.anisotropy(30, 0)) > 1
     ([0.1, 0.05, 0.2], True)
     """
-    seen = np.asarray(reflectance, dtype=np.float64)
+    given = {"reflectance": reflectance, "view_zenith": view_zenith, "azimuth": azimuth}
+    seen, view_zenith, azimuth = check_together(**given, to_first=True)
+    refuse(seen.ndim != 1, "reflectance", f"shape {seen.shape}", "a row")
     terms = np.broadcast_to(walthall_terms(view_zenith, azimuth), (*seen.shape, 3))
     few = len(seen) < 4 or np.linalg.matrix_rank(terms, tol=1e-6 * len(seen)) < 3
     found = f"{len(seen)} observations cannot tell three terms apart"

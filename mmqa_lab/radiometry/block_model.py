@@ -22,6 +22,7 @@ class Block:
 
     def __init__(self, observations):
         check_columns(observations, OBSERVATION_COLUMNS, "observations")
+        refuse(not len(observations), "observations", "no row", "of one image or more")
         named = [name for name in ("surface", "group") if name in observations]
         missing = observations[[*OBSERVATION_COLUMNS, *named]].isna()
         for row, name in np.argwhere(missing.to_numpy())[:1]:
@@ -58,6 +59,7 @@ class Block:
         counts = *self.sizes, len(self.ties)
         value, std = np.repeat([*priors, (0.0, np.inf)], counts, axis=0).T.copy()
         if control is not None:
+            check_columns(control, ("tie", "reflectance", "std"), "control")
             place = pd.Index(self.ties).get_indexer(control["tie"])
             wrong = (place < 0).any() or not (control["std"] > 0).all()
             must = "tie points of the block, each with a std above zero"

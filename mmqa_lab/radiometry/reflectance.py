@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_number, check_positive, refuse
+from mmqa_lab._checks import check_number, check_positive, check_together, refuse
 from mmqa_lab._results import Shown
 
 __all__ = ["EmpiricalLine", "empirical_line", "ndvi", "reflectance_factor"]
@@ -121,7 +121,8 @@ def reflectance_factor(
     tau = check_number(transmittance, "transmittance", low=0.001, high=1)
     s = check_number(spherical_albedo, "spherical_albedo", low=0, high=1)
     around = check_number(surroundings, "surroundings", low=0, high=1)
-    of_ground = np.asarray(radiance, np.float64) - path_radiance
+    (radiance,) = check_together(radiance=radiance, missing=True)
+    of_ground = radiance - path_radiance
     return np.pi * of_ground * (1 - s * around) / (tau * irradiance)
 
 
@@ -168,9 +169,12 @@ def empirical_line(
     >>> round(float(line.reflectance(600)), 3)
     0.15
     """
-    dn = np.asarray(dn, dtype=np.float64)
-    known = np.broadcast_to(np.multiply(reflectance, anisotropy), dn.shape)
-    few = dn.ndim != 1 or len(dn) < 2 or not np.isfinite([dn, known]).all() or np.ptp(dn) == 0
+    dn, reflectance, anisotropy = check_together(
+        dn=dn, reflectance=reflectance, anisotropy=anisotropy, to_first=True
+    )
+    refuse(dn.ndim != 1, "targets", f"dn of shape {dn.shape}", "a row")
+    known = np.broadcast_to(reflectance * anisotropy, dn.shape)
+    few = len(dn) < 2 or np.ptp(dn) == 0
     refuse(few, "targets", f"{dn.size} given", "two or more of different, finite DN")
     for share in np.ravel(reflectance).tolist():
         check_number(share, "reflectance", low=0, high=1)
@@ -216,7 +220,7 @@ def ndvi(
     >>> round(float(value), 3), round(float(std), 4)
     (0.8, 0.0127)
     """
-    n, r = np.asarray(near_infrared, np.float64), np.asarray(red, np.float64)
+    n, r = check_together(near_infrared=near_infrared, red=red, missing=True)
     total = n + r
     errors = np.hypot(np.multiply(r, std_near_infrared), np.multiply(n, std_red))
     return (n - r) / total, 2 * errors / total**2

@@ -18,7 +18,15 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.special import stdtrit
 
-from mmqa_lab._checks import check_count, check_positive, needs, refuse
+from mmqa_lab._checks import (
+    check_count,
+    check_image,
+    check_positive,
+    check_together,
+    needs,
+    real_array,
+    refuse,
+)
 from mmqa_lab._results import Shown
 
 __all__ = [
@@ -154,7 +162,9 @@ def patch_statistics(
     >>> found["mean_dn"].tolist(), found["saturated_share"].tolist()
     ([11.0, 255.0], [0.0, 1.0])
     """
-    image = np.asarray(image, dtype=np.float64)
+    image = real_array(image, "image").astype(np.float64)
+    finite = image.ndim == 2 and image.size and np.isfinite(image).all()
+    refuse(not finite, "image", f"shape {image.shape}", "one band of finite numbers")
     full_scale = saturation_level(image) if full_scale is None else full_scale
     rows = []
     for r0, r1, c0, c1 in np.asarray(patches, dtype=int):
@@ -221,8 +231,10 @@ def fit_sensor(
     """
     models = needs("lab", "statsmodels.regression.linear_model")
 
-    dn = np.asarray(dn, dtype=np.float64)
-    signal = np.broadcast_to(np.multiply(radiance, exposure), dn.shape)
+    given = {"dn": dn, "radiance": radiance, "exposure": exposure}
+    dn, radiance, exposure = check_together(**given, to_first=True)
+    refuse(dn.ndim != 1, "targets", f"dn of shape {dn.shape}", "a row")
+    signal = np.broadcast_to(radiance * exposure, dn.shape)
     std = np.broadcast_to(1.0 if std_dn is None else np.asarray(std_dn, np.float64), dn.shape)
     if not (np.isfinite(signal).all() and np.isfinite(dn).all() and (std > 0).all()):
         raise ValueError("Invalid targets. Must be finite, their standard deviations > 0 DN.")
@@ -245,7 +257,7 @@ def coarse_pairs(image: ArrayLike, reference: ArrayLike) -> tuple[np.ndarray, np
     Pixels are averaged to those of the reference, then both pass a median of 3 x 3 (EuroSDR 2013,
     image radiometry, section 4.2: DMC against CASI).
     """
-    image, reference = (np.asarray(part, dtype=np.float32) for part in (image, reference))
+    image, reference = (check_image(part).astype(np.float32) for part in (image, reference))
     coarse = cv2.resize(image, reference.shape[::-1], interpolation=cv2.INTER_AREA)
     return tuple(cv2.medianBlur(part, 3).ravel() for part in (coarse, reference))
 

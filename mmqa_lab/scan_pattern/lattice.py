@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_values
+from mmqa_lab._checks import check_together, check_values, refuse
 from mmqa_lab._results import Shown
 from mmqa_lab.scan_pattern.measure import MEASURED
 from mmqa_lab.scan_pattern.mimic import LEVEL
@@ -258,7 +258,8 @@ def lattice_distances(a: ArrayLike, b: ArrayLike) -> tuple[np.ndarray, ...]:
     >>> [round(d.item(), 6) for d in lattice_distances([0.004, 0], [0.001, 0.047])]
     [0.004, 0.047096]
     """
-    a, b = np.broadcast_arrays(*(np.asarray(step, dtype=np.float64) for step in (a, b)))
+    a, b = np.broadcast_arrays(*check_together(a=a, b=b, missing=True))
+    refuse(a.shape[-1:] != (2,), "steps", f"shape {a.shape}", "of two coordinates")
     area = np.abs(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
     with np.errstate(invalid="ignore"):
         spans = area > 1e-12 * np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)

@@ -15,7 +15,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from mmqa_lab import stats
-from mmqa_lab._checks import check_positive
+from mmqa_lab._checks import check_plan, check_positive
 from mmqa_lab._results import Shown
 from mmqa_lab.planes import flat_points
 from mmqa_lab.spacing.neighbours import (
@@ -227,7 +227,7 @@ def block_numbers(xy: ArrayLike, *, side: int = 4) -> np.ndarray:
     >>> block_numbers([[0, 0], [4, 0], [4, 4]], side=2).tolist()
     [0, 2, 3]
     """
-    xy = np.asarray(xy, dtype=np.float64)
+    xy = check_plan(xy, name="xy")
     low, extent = xy.min(axis=0), np.ptp(xy, axis=0)
     place = (xy - low) / np.where(extent > 0, extent, 1) * side
     column, row = np.minimum(place.astype(np.int64), side - 1).T
@@ -261,7 +261,7 @@ def line_parts(xy: ArrayLike, found: DirectionalSpacing | None = None) -> np.nda
     >>> line_parts(np.stack([x.ravel(), y.ravel()], axis=1)).shape
     (2, 640)
     """
-    xy = np.asarray(xy, dtype=np.float64)
+    xy = check_plan(xy, name="xy", minimum=0)
     if len(xy) < FEWEST_POINTS or not np.ptp(xy, axis=0).any():
         return np.zeros(len(xy), dtype=np.intp)
     found = directional(xy) if found is None else found

@@ -11,7 +11,13 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.special import stdtrit
 
-from mmqa_lab._checks import check_count, check_values
+from mmqa_lab._checks import (
+    check_count,
+    check_row,
+    check_together,
+    real_array,
+    refuse,
+)
 from mmqa_lab._results import Shown
 
 __all__ = ["Interval", "bootstrap", "mean_interval", "rank_correlation", "student_reach"]
@@ -79,7 +85,9 @@ def bootstrap(
     >>> found.value, found.low < 50 < found.high
     (50.0, True)
     """
-    arrays = [np.asarray(v) for v in values]
+    arrays = [real_array(v, "values", kinds="fiub") for v in values]
+    if not all(a.ndim for a in arrays):
+        raise ValueError("Invalid values without rows. Must be rows of equal lengths.")
     lengths = [len(a) for a in arrays]
     if len(set(lengths)) != 1 or not lengths[0]:
         raise ValueError(f"Invalid values of lengths {lengths}. Must be equal and above 0.")
@@ -112,6 +120,7 @@ def student_reach(std: ArrayLike, freedom: ArrayLike) -> np.ndarray:
     >>> student_reach(1.0, [1, 9, 1000]).round(3).tolist()
     [12.706, 2.262, 1.962]
     """
+    std, freedom = check_together(std=std, freedom=freedom, missing=True)
     return stdtrit(np.where(np.greater(freedom, 0), freedom, np.nan), 0.975) * std
 
 
@@ -145,8 +154,8 @@ def mean_interval(values: ArrayLike, *, of_next: bool = False) -> Interval:
     >>> found.value, round(found.low, 3), round(found.high, 3)
     (2.0, -0.484, 4.484)
     """
-    values = np.asarray(values, dtype=np.float64).ravel()
-    values = check_values(values[~np.isnan(values)], "values")
+    values = check_row(np.ravel(real_array(values, "values")), "values", minimum=0, missing=True)
+    values = values[~np.isnan(values)]
     n = len(values)
     if n < 2:
         return Interval(float(values[0]) if n else np.nan, np.nan, np.nan)
@@ -174,6 +183,8 @@ def rank_correlation(rows: ArrayLike, truth: ArrayLike) -> np.ndarray:
     >>> rank_correlation([[1, 2, 4], [3, 2, np.nan]], [0.1, 0.5, 0.9]).round(9).tolist()
     [1.0, -1.0]
     """
+    rows, truth = check_together(rows=rows, truth=truth, missing=True)
+    refuse((rows.ndim, truth.ndim) != (2, 1), "rows", f"shape {rows.shape}", "a table")
     with warnings.catch_warnings(action="ignore"):  # a row without spread has none
         found = pd.DataFrame(np.transpose(rows)).corrwith(pd.Series(truth), method="spearman")
     return found.to_numpy()

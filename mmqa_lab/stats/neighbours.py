@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mmqa_lab._checks import check_plan, check_row, real_array, refuse
 from mmqa_lab.stats.intervals import student_reach
 
 __all__ = ["WAVE_PARTS", "mean_reach", "median_interval", "median_ratio_interval", "order_parts"]
@@ -62,7 +63,7 @@ def order_parts(xy: ArrayLike, direction: float) -> np.ndarray:
     """
     turn = np.radians(direction)
     along = np.array([np.cos(turn), np.sin(turn)])
-    places = np.asarray(xy, dtype=np.float64) @ np.column_stack([[-along[1], along[0]], along])
+    places = check_plan(xy, name="xy") @ np.column_stack([[-along[1], along[0]], along])
     return np.array([_parts(way) for way in places.T])
 
 
@@ -104,9 +105,20 @@ def mean_reach(values: ArrayLike, block: ArrayLike) -> float:
     >>> bool(mean_reach([1.0, 3.0, 1.0, 3.0], [0, 0, 1, 1]) == 0)  # each block has the mean
     True
     """
-    values = np.asarray(values, dtype=np.float64)
+    values, block = _in_blocks(block, values)
     n = max(len(values), 1)
     return float(_reach((values - values.sum() / n)[None] / n, block)[0])
+
+
+def _in_blocks(block, *rows, missing=False):
+    """Rows of values as float64 and the whole numbers of their blocks, of one length."""
+    rows = [check_row(row, "values", minimum=0, missing=missing) for row in rows]
+    block = real_array(block, "block", kinds="iu")
+    lengths = {*map(len, rows), block.shape[-1] if block.ndim else -1}
+    found = f"lengths {', '.join(map(str, sorted(lengths)))}"
+    wrong = len(lengths) > 1 or block.min(initial=0) < 0
+    refuse(wrong, "values and blocks", found, "alike, from 0")
+    return *rows, block
 
 
 def median_interval(values: ArrayLike, block: ArrayLike) -> tuple[float, float]:
@@ -144,8 +156,9 @@ def median_interval(values: ArrayLike, block: ArrayLike) -> tuple[float, float]:
     >>> bool(low < 5 < high), bool(high - low < 0.2)
     (True, True)
     """
+    values, block = _in_blocks(block, values, missing=True)
     known = ~np.isnan(values)
-    values, block = np.asarray(values)[known], np.asarray(block)[..., known]
+    values, block = values[known], block[..., known]
     return _quantiles_about(values, _reach(_influence(values[None]), block)[0])
 
 
@@ -176,9 +189,9 @@ def median_ratio_interval(
     >>> round(low, 6), round(high, 6)
     (2.0, 2.0)
     """
-    top, bottom = np.asarray(top), np.asarray(bottom)
+    top, bottom, block = _in_blocks(block, top, bottom, missing=True)
     known = ~(np.isnan(top) | np.isnan(bottom))
-    both, block = np.array([top, bottom])[:, known], np.asarray(block)[..., known]
+    both, block = np.array([top, bottom])[:, known], block[..., known]
     first, second = _influence(both)
     reaches = _reach(np.array([first, second, first - second, first + second]), block)
     ends = np.array([_quantiles_about(*one) for one in zip(both, reaches[:2], strict=True)])

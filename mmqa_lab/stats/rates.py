@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_count
+from mmqa_lab._checks import check_count, real_array
 from mmqa_lab._results import Shown
 
 __all__ = ["CONSISTENT_SCALE", "Errors", "Rate", "errors", "wilson"]
@@ -150,7 +150,7 @@ def errors(values: ArrayLike) -> Errors:
     >>> errors([1.0, -1.0, 3.0]).bias, round(errors([1.0, -1.0, 3.0]).rmse, 3)
     (1.0, 1.915)
     """
-    values = np.asarray(values, dtype=np.float64).ravel()
+    values = real_array(values, "errors").astype(np.float64).ravel()
     if np.isinf(values).any():
         raise ValueError("Invalid errors: infinite. Must be finite, or NaN where not measured.")
     known = pd.Series(values).dropna()

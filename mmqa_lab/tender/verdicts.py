@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from mmqa_lab._checks import check_choice, check_number, refuse
+from mmqa_lab._checks import check_choice, check_columns, check_number, refuse
 from mmqa_lab.spacing import exempt
 from mmqa_lab.tender.tables import (
     PLACE,
@@ -172,6 +172,7 @@ def qualification(table: pd.DataFrame) -> pd.DataFrame:
     >>> qualification(table)["sentence"].iloc[0]
     'A stays open: legibility is not measured.'
     """
+    check_columns(table, ("system", "criterion", "verdict"), "table")
     rows = []
     for system, part in table.groupby("system", sort=False):
         counts = part["verdict"].value_counts().reindex(VERDICTS, fill_value=0)

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_points, check_positive
+from mmqa_lab._checks import check_points, check_positive, check_row, check_together, refuse
 from mmqa_lab.stats import student_reach
 
 __all__ = ["split_drives", "thinned", "trend"]
@@ -32,7 +32,7 @@ def split_drives(gps_time: ArrayLike, *, gap_s: float = 3600.0) -> np.ndarray:
     >>> split_drives([5.0, 90_000.0, 6.0, 90_001.0]).tolist()
     [0, 1, 0, 1]
     """
-    time = np.asarray(gps_time, dtype=np.float64)
+    time = check_row(gps_time, "gps_time")
     order = np.argsort(time, kind="stable")
     number = np.cumsum(np.diff(time[order], prepend=time[order[0]]) > gap_s)
     return number[np.argsort(order)]
@@ -103,7 +103,9 @@ def trend(distance: ArrayLike, values: ArrayLike) -> pd.Series:
     """
     from scipy.stats import linregress
 
-    distance, values = np.asarray(distance, np.float64), np.asarray(values, np.float64)
+    distance, values = check_together(distance=distance, values=values, missing=True)
+    one_row = distance.ndim == 1 and distance.shape == values.shape
+    refuse(not one_row, "errors", f"shape {values.shape}", "a row, each with its distance")
     known = np.isfinite(values) & np.isfinite(distance)
     distance, values = distance[known], values[known]
     if len(values) < 3 or np.ptp(distance) == 0:

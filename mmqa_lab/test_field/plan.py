@@ -160,6 +160,7 @@ def plan_accuracy(table: pd.DataFrame) -> pd.DataFrame:
     >>> plan_accuracy(table)["rmse_mm"].round(6).tolist()
     [50.0, 0.0]
     """
+    check_columns(table, ("dx_m", "dy_m", "reason"), "table")
     used = table[table["reason"] == ""]
     target = np.arange(len(used))
     if {"x_m", "y_m"} <= set(used):
