@@ -112,6 +112,9 @@ def test_each_room_has_a_test_file_by_its_name():
 
 GONE = {
     "commands.surveys": "commands",
+    "io.clouds.write_cloud": "io.write_cloud",
+    "io.images.read_heights": "io.read_heights",
+    "io.tables.read_trajectory": "io.read_trajectory",
 }
 """Public names of 0.4 that are no more, each with what takes its place, as in CHANGELOG.md."""
 

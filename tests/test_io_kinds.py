@@ -698,7 +698,7 @@ def test_errors_of_the_package_do_not_look_like_damage(tmp_path, monkeypatch):
     def fails(*_):
         raise KeyError("a slip of ours")
 
-    monkeypatch.setattr("mmqa_lab.io.clouds.las_system", fails)
+    monkeypatch.setattr("mmqa_lab.io.las.las_system", fails)
     with pytest.raises(KeyError, match="a slip of ours"):
         io.read_cloud(path)
 

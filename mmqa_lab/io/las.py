@@ -1,0 +1,223 @@
+"""Clouds in LAS and LAZ files, and what their headers must not contradict."""
+
+from __future__ import annotations
+
+import os
+import struct
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mmqa_lab._checks import check_choice, check_columns, check_points, refuse
+from mmqa_lab.cloud import Cloud, extent
+from mmqa_lab.io.files import reading, write_atomically
+from mmqa_lab.io.marks import FLAGS, Piece
+from mmqa_lab.io.systems import las_system
+
+__all__ = ["LAS_ENDINGS", "las_pieces", "write_cloud"]
+
+LAS_ENDINGS = (".las", ".laz")
+
+LEAST, LARGEST = -(2**31), 2**31 - 1
+LAS = "a complete LAS or LAZ file"
+
+# Degrees per unit of the LAS 1.4 field ``scan_angle`` (LAS 1.4 R15, point formats 6-10).
+SCAN_ANGLE_STEP = 0.006
+
+LONGEST_NAME = 32
+
+FIRST_LAYERED = 6
+
+
+def write_cloud(path: str | os.PathLike, cloud: Cloud | ArrayLike, *, scale: float = 0.001) -> None:
+    """Write a cloud as LAS or LAZ 1.4, whole or not at all.
+
+    Parameters
+    ----------
+    path : path
+        Ends in ``.las`` or ``.laz``; an existing file is replaced.
+    cloud : Cloud or array_like, shape (n, 3)
+        Columns that LAS knows (``gps_time`` in seconds, ``intensity``, ``scan_angle`` in
+        degrees, ``classification``, ...) go to their fields, the others to extra dimensions. Its
+        ``crs`` goes to the header.
+    scale : float
+        Coordinates are rounded to this step, m.
+
+    Raises
+    ------
+    ValueError
+        If the ending is another, the cloud has no points or is too wide for the step, or a column
+        has a value that its field cannot hold.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from mmqa_lab.io import read_cloud
+    >>> cloud = Cloud([[500_000.1234, 0, 0]], {"gps_time": np.array([1.5])})
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_cloud(Path(folder) / "one.laz", cloud)
+    ...     again = read_cloud(Path(folder) / "one.laz")
+    >>> again.points[0].round(6).tolist(), again["gps_time"].tolist()
+    ([500000.123, 0.0, 0.0], [1.5])
+    """
+    import laspy
+
+    check_choice(Path(path).suffix.lower(), "ending", LAS_ENDINGS)
+    cloud = cloud if isinstance(cloud, Cloud) else Cloud(cloud)
+    points = check_points(cloud.points)
+    if not np.ptp(points, axis=0).max() < scale * 2**31:
+        raise ValueError(f"Invalid scale {scale}. Must be coarser for a cloud as wide as this.")
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales, header.offsets = np.full(3, scale), np.floor(points.min(axis=0))
+    if cloud.crs is not None:
+        header.add_crs(cloud.crs)
+    fields = {one.name: one for one in header.point_format.dimensions}
+    columns = {name: _storable(name, cloud[name], fields.get(name)) for name in cloud.columns}
+    for name in columns.keys() - fields.keys():
+        header.add_extra_dim(laspy.ExtraBytesParams(name, columns[name].dtype))
+    las = laspy.LasData(header)
+    las.xyz = points
+    for name, values in columns.items():
+        las[name] = values
+    write_atomically(path, lambda temporary: las.write(str(temporary)))
+
+
+def _storable(name, values, field):
+    """The values of a column as LAS holds them; what it cannot hold gives one sentence."""
+    if values.ndim != 1 or values.dtype.kind not in "biuf":
+        raise ValueError(f"Invalid column {name!r}. Must be one number for each point.")
+    if name.lower() in ("x", "y", "z") or len(name.encode()) > LONGEST_NAME:
+        wanted = f"other than x, y, z and at most {LONGEST_NAME} letters long"
+        raise ValueError(f"Invalid column name {name!r}. Must be {wanted}.")
+    if field is None or field.name == "gps_time":
+        odd = values.dtype.kind == "f" and values.dtype.itemsize not in (4, 8)
+        kind = np.float64 if odd else np.uint8 if values.dtype.kind == "b" else values.dtype
+        return values.astype(kind)
+    angle = name == "scan_angle"
+    low, high = (-180, 180) if angle else (field.min, field.max)
+    numbers = values.astype(np.float64)
+    bad = ~((numbers >= low) & (numbers <= high)) | ((numbers % 1 != 0) & (not angle))
+    if bad.any():
+        row, kind = int(bad.argmax()), "degrees" if angle else "whole numbers"
+        wanted = f"{kind} from {low} to {high}"
+        raise ValueError(f"Invalid {name} {values[row]} in row {row + 1}. Must be {wanted}.")
+    return np.round(numbers / SCAN_ANGLE_STEP if angle else numbers).astype(np.int64)
+
+
+def las_pieces(path, chunk, columns):
+    """The pieces of a LAS or LAZ file."""
+    import laspy
+
+    with reading(path, "cloud", LAS):
+        reader = laspy.open(path)
+    with reader:
+        header, read = reader.header, 0
+        _check_header(path, header)
+        about = {"resolution": float(max(header.scales)), "crs": las_system(header, path)}
+        names = [n for n in header.point_format.dimension_names if n not in ("X", "Y", "Z")]
+        if columns is not None:
+            check_columns(names, columns, f"cloud {path}")
+            names = [name for name in names if name in columns or name in FLAGS]
+        low, high = header.mins - 2 * header.scales, header.maxs + 2 * header.scales
+        parts = reader.chunk_iterator(chunk)
+        while True:
+            with reading(path, "cloud", LAS):
+                part = next(parts, None)
+                if part is None:
+                    break
+                attributes = {name: np.array(part[name]) for name in names}
+                points = np.stack([part.x, part.y, part.z], axis=1)
+                raw = [np.asarray(part[axis]) for axis in "XYZ"]
+            read += len(points)
+            if "scan_angle" in attributes:
+                attributes["scan_angle"] = attributes["scan_angle"] * SCAN_ANGLE_STEP
+            over = outside = np.zeros(1, bool)
+            for axis in raw:
+                if axis.min() == LEAST or axis.max() == LARGEST:
+                    over = over | (axis == LEAST) | (axis == LARGEST)
+            box = extent(points)
+            if not ((box[0] >= low) & (box[1] <= high)).all():
+                outside = ((points < low) | (points > high)).any(axis=1)
+            left = {"hold the least or largest integer, an overflow of their 32 bits": over}
+            said = {"lie outside the box that its header states": outside}
+            yield Piece(points, attributes, about, header.point_count, left, said)
+    found = f"bytes for {read} points where the header says {header.point_count}"
+    refuse(read < header.point_count, f"cloud {path}", found, LAS)
+
+
+def _check_header(path, header):
+    """Raise where a LAS header contradicts itself or its file."""
+    scales = ", ".join(f"{scale:g}" for scale in header.scales)
+    usable = np.isfinite(header.scales).all() and (header.scales > 0).all()
+    refuse(not usable, f"cloud {path}", f"scale {scales} in its header", "above 0")
+    with Path(path).open("rb") as file:
+        (legacy,) = struct.unpack("<107xI", file.read(111))
+    if header.are_points_compressed:
+        with reading(path, "cloud", LAS):
+            held = _laz_points(path, header)
+    else:
+        behind = (header.start_of_first_evlr, header.start_of_waveform_data_packet_record)
+        end = min([Path(path).stat().st_size, *filter(None, behind)])  # 0 where there is none
+        held = (end - header.offset_to_point_data) // header.point_format.size
+        held = max(held, header.point_count)  # where it is cut short is said when it is read
+    held = max(held, legacy if header.point_count == 0 else 0)
+    found = f"{held or 'another number of'} points where the header says {header.point_count}"
+    refuse(held != header.point_count, f"cloud {path}", found, "as many")
+
+
+def _laz_points(path, header):
+    """How many points the chunks of a LAZ file hold.
+
+    The table of chunks stands where the points begin to say, or the last bytes of a file that was
+    written as a stream. A damaged one would ask for any amount of memory. Chunks of formats 6 to 10
+    begin with a point and their number of points (LASzip's ``layered`` chunks).
+    """
+    import lazrs
+
+    record = header.vlrs.get_by_id("laszip encoded")[0].record_data
+    vlr, size, first = lazrs.LazVlr(record), header.point_format.size, header.offset_to_point_data
+    with Path(path).open("rb") as file:
+        for place, whence in ((first, 0), (-8, 2)):
+            file.seek(place, whence)
+            (table,) = struct.unpack("<q", file.read(8))
+            if table != -1:
+                break
+        file.seek(table)
+        if struct.unpack("<4xI", file.read(8))[0] > Path(path).stat().st_size:
+            raise ValueError("more chunks than bytes")
+        file.seek(first)
+        chunks = lazrs.read_chunk_table(file, vlr)
+        ends = first + 8 + np.cumsum([0, *(length for _, length in chunks)])
+        if ends[-1] != table:
+            raise ValueError("chunks that do not reach from the first point to their table")
+        if header.point_format.id < FIRST_LAYERED and chunks:
+            return _pointwise(file, record, header, chunks, ends)
+        held = 0
+        for end in ends[:-1]:
+            file.seek(end + size)
+            held += struct.unpack("<I", file.read(4))[0]
+        return held
+
+
+def _pointwise(file, record, header, chunks, ends):
+    """How many points the chunks of formats 0 to 5 hold; 0 if all that is known is not as many.
+
+    The last chunk has no count: its bytes must be those of the points that the header leaves to it.
+    """
+    import lazrs
+
+    size, most = header.point_format.size, sum(count for count, _ in chunks)
+    before = most - chunks[-1][0]
+    if not before < header.point_count <= most:
+        return before + 1 if header.point_count <= before else most
+    file.seek(ends[-2])
+    stored = file.read(chunks[-1][1]).rstrip(b"\0")
+    file.seek(header.offset_to_point_data)
+    reader = lazrs.LasZipDecompressor(file, record)
+    reader.seek(before)
+    points = bytearray((header.point_count - before) * size)
+    reader.decompress_many(points)
+    again = bytes(lazrs.compress_points(lazrs.LazVlr(record), bytes(points), False))
+    written = again[8 : struct.unpack("<q", again[:8])[0]].rstrip(b"\0")
+    return header.point_count if written == stored else 0
