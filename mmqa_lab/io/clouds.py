@@ -12,15 +12,19 @@ import numpy as np
 
 from mmqa_lab._checks import check_choice, check_columns, check_file
 from mmqa_lab.cloud import Cloud, unit_remarks
+from mmqa_lab.io.e57 import e57_pieces
 from mmqa_lab.io.las import LAS_ENDINGS, las_pieces
 from mmqa_lab.io.marks import Piece, marked
+from mmqa_lab.io.pcd import read_pcd
 from mmqa_lab.io.ply import read_ply
+from mmqa_lab.io.ptx import ptx_pieces
+from mmqa_lab.io.signatures import form_of, refuse_unread
 from mmqa_lab.io.tables import text_places
 
 __all__ = ["CLOUD_ENDINGS", "iterate_cloud", "read_cloud"]
 
 TEXT_ENDINGS = (".txt", ".csv", ".xyz", ".pts", ".asc")
-CLOUD_ENDINGS = (*LAS_ENDINGS, ".ply", *TEXT_ENDINGS)
+CLOUD_ENDINGS = (*LAS_ENDINGS, ".e57", ".pcd", ".ply", ".ptx", *TEXT_ENDINGS)
 
 
 def read_cloud(path: str | os.PathLike, *, columns: Sequence[str] | None = None) -> Cloud:
@@ -36,10 +40,11 @@ def read_cloud(path: str | os.PathLike, *, columns: Sequence[str] | None = None)
     Parameters
     ----------
     path : path
-        LAS 1.2-1.4, LAZ or COPC (``.las``, ``.laz``), PLY (``.ply``) or text (``.txt``, ``.csv``,
-        ``.xyz``). Columns of text stand between white space, commas or semicolons; a header names
-        x, y, z or easting, northing, height, in any order among others; without a header x, y, z
-        come first. ``#``, ``//`` and ``%`` begin a comment. PTS (``.pts``) and ``.asc`` are text.
+        LAS 1.2-1.4, LAZ or COPC (``.las``, ``.laz``), E57, PCD, PLY, PTX or text (``.txt``,
+        ``.csv``, ``.xyz``, ``.pts``, ``.asc``). The scans of E57 and PTX stand at their poses,
+        with their numbers in the column ``scan``. Columns of text stand between white space,
+        commas or semicolons; a header names x, y, z or easting, northing, height, in any order
+        among others; without a header x, y, z come first. ``#``, ``//`` and ``%`` begin a comment.
     columns : sequence of str, optional
         The per-point columns to keep; all when not given.
 
@@ -91,12 +96,19 @@ def iterate_cloud(
     [20000, 8185]
     """
     path = check_file(path, "cloud")
-    ending = check_choice(path.suffix.lower(), f"cloud {path} with ending", CLOUD_ENDINGS)
-    if ending in LAS_ENDINGS:
+    form, ending = form_of(path), path.suffix.lower()
+    if not form:
+        refuse_unread(path, "cloud")
+        check_choice(ending, f"cloud {path} with ending", CLOUD_ENDINGS)
+        form = ending[1:]
+    readers = {"e57": e57_pieces, "ptx": ptx_pieces, "pcd": read_pcd, "ply": read_ply}
+    if form in ("las", "laz"):
         pieces = las_pieces(path, chunk, columns)
+    elif form in ("e57", "ptx"):
+        pieces = readers[form](path)
     else:
-        ply = ending == ".ply"
-        pieces = [Piece(*(read_ply(path) if ply else text_places(path, "cloud", finite=False)))]
+        read = readers[form](path) if form in readers else text_places(path, "cloud", finite=False)
+        pieces = [Piece(*read)]
     read, dropped, counted = 0, Counter(), Counter()
     for piece in pieces:
         left, said = marked(piece)

@@ -1,0 +1,55 @@
+"""What a file is by its first bytes or its ending, and what to do with one that is not read."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from mmqa_lab.io.ptx import PTX_HEAD
+
+__all__ = ["form_of", "refuse_unread"]
+
+# The readers of clouds by how files begin, whatever their ending says.
+BEGUN = {"e57": rb"ASTM-E57", "las": rb"LASF", "ply": rb"(\xef\xbb\xbf)?ply\s"}
+BEGUN |= {"pcd": rb"# \.PCD|VERSION \.?\d[^\n]*\n(#.*\n)*FIELDS ", "ptx": PTX_HEAD.pattern}
+
+# What is not read: how it begins, its endings, its name, and what to do.
+UNREAD = (
+    (rb"PK\x03\x04", ".zip .kmz .7z .rar", "a compressed archive", "unpack it"),
+    (rb"\x1f\x8b", ".gz .tgz", "a compressed archive", "unpack it"),
+    (rb"\s*ncols\s+\d+", "", "an ESRI grid", "give it as reference heights"),
+    (rb"SQLite format 3", ".gpkg", "a GeoPackage", "give it as --polygon"),
+    (rb"\0\0\x27\x0a", ".shp", "a shapefile", "give it as --polygon"),
+    (rb"II\*\0|MM\0\*", "", "a TIFF file", "give it as an image or as reference heights"),
+    (rb"\x89HDF|CDF[\1\2]", ".h5 .nc", "an HDF or NetCDF file", "save it as LAS or text"),
+    (rb"#ROSBAG|\x89MCAP", ".bag .mcap .db3", "a robot's log", "save its clouds as PCD"),
+    (rb"\xd4\xc3\xb2\xa1|\n\r\r\n", ".pcap .pcapng", "packets", "save them as LAS or PCD"),
+    (rb"\xd0\xcf\x11\xe0", ".xls", "an old Excel workbook", "save it as XLSX or CSV"),
+    (rb"AC10\d\d", ".dwg", "a DWG drawing", "save it as DXF"),
+    (rb"\0\0\0.ftyp(heic|heix|mif1)", ".heic .heif", "a HEIC photograph", "save it as JPEG"),
+    (rb"FUJIFILM|IIRO", ".cr2 .cr3 .nef .arw .raf .orf .rw2", "a RAW file", "save it as TIFF"),
+    (rb"<\?xml|<kml", ".kml", "an XML file", "give outlines as --polygon"),
+    (rb"%PDF", ".pdf", "a PDF", "save its tables as CSV"),
+    (None, ".rcp .rcs .fls .lsproj .zfs .rxp .ptg .bin .cl3 .fws", "a scanner's own format",
+     "save it as E57 or LAS"),
+    (None, ".obj .stl .off .glb .gltf .fbx", "a mesh", "save its points as PLY"),
+    (None, ".npy .npz .mat .pkl .parquet", "an array", "save it as LAS or CSV"),
+)  # fmt: skip
+
+
+def form_of(path):
+    """Which reader of clouds a file belongs to by its first bytes; "" if they tell none."""
+    with Path(path).open("rb") as file:
+        head = file.read(4096)
+    return next((name for name, mark in BEGUN.items() if re.match(mark, head)), "")
+
+
+def refuse_unread(path, name, *, endings=True):
+    """Raise a sentence that names the format of a file that is not read, if it is known."""
+    with Path(path).open("rb") as file:
+        head = file.read(4096)
+    ending = Path(path).suffix.lower()
+    for mark, others, what, instead in UNREAD:
+        begins = mark is not None and re.match(mark, head, re.DOTALL)
+        if begins or (endings and ending in others.split()):
+            raise ValueError(f"Invalid {name} {path}: {what}. Must be another; {instead}.")

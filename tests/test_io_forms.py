@@ -1,0 +1,116 @@
+"""Clouds in the forms of other programs: E57, PCD, PTX; and what is not read is named."""
+
+import numpy as np
+import pye57
+import pypcd4
+import pytest
+
+from mmqa_lab import io
+from mmqa_lab.__main__ import main
+
+TURN = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # by 90 degrees about the vertical
+PLACE = np.array([10.0, 20, 5])
+
+
+@pytest.fixture
+def wall(rng):
+    """Points of a wall, m."""
+    return np.round(rng.random((300, 3)) * [2, 0.01, 2], 4)
+
+
+def test_the_scans_of_an_e57_stand_at_their_poses(tmp_path, wall):
+    file = pye57.E57(str(tmp_path / "three.e57"), mode="w")
+    half = np.sqrt(0.5)
+    for number in range(3):
+        data = dict(zip(("cartesianX", "cartesianY", "cartesianZ"), wall.T.copy(), strict=True))
+        data["intensity"] = np.arange(300.0)
+        file.write_scan_raw(
+            data, rotation=np.array([half, 0, 0, half]), translation=PLACE + [0, 0, 3 * number]
+        )
+    file.close()
+    cloud = io.read_cloud(tmp_path / "three.e57")
+    assert np.bincount(cloud["scan"]).tolist() == [300] * 3
+    expected = [wall @ TURN.T + PLACE + [0, 0, 3 * number] for number in range(3)]
+    np.testing.assert_allclose(cloud.points, np.concatenate(expected), atol=1e-9)
+    assert cloud["intensity"].tolist() == [*range(300)] * 3
+    parts = list(io.iterate_cloud(tmp_path / "three.e57", columns=()))
+    assert [len(part) for part in parts] == [300] * 3
+    assert main(["evaluate", str(tmp_path / "three.e57")]) == 0
+    whole = (tmp_path / "three.e57").read_bytes()
+    (tmp_path / "cut.e57").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(ValueError, match=r"damaged.*Must be a complete E57 file"):
+        io.read_cloud(tmp_path / "cut.e57")
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary", "binary_compressed"])
+def test_each_kind_of_pcd_is_the_same_cloud(tmp_path, wall, encoding):
+    wall = wall.astype(np.float32)
+    wall[:5, 2] = np.nan
+    rings = np.arange(300, dtype=np.uint16)
+    fields = [*wall.T, rings, pypcd4.PointCloud.encode_rgb(np.tile([[200, 2, 3]], (300, 1)))]
+    types = (*[np.float32] * 3, np.uint16, np.float32)
+    made = pypcd4.PointCloud.from_points(fields, ("x", "y", "z", "ring", "rgb"), types)
+    made.save(tmp_path / "w.pcd", encoding=pypcd4.Encoding(encoding))
+    with pytest.warns(UserWarning, match="Dropped 5 of 300 points .* not finite"):
+        cloud = io.read_cloud(tmp_path / "w.pcd")
+    assert np.array_equal(cloud.points, wall[5:].astype(float))
+    assert cloud["ring"].tolist() == [*range(5, 300)]
+    if encoding != "ascii":  # in which its writer rounds the packed colours to nothing
+        assert (cloud["red"][0], cloud["green"][0], cloud["blue"][0]) == (200, 2, 3)
+    assert 0 < cloud.resolution < 1e-6
+    raw = (tmp_path / "w.pcd").read_bytes()
+    (tmp_path / "moved.txt").write_bytes(raw.replace(b"0.0 0.0 0.0 1.0", b"1.0 0.0 0.0 1.0"))
+    with pytest.warns(UserWarning, match="viewpoint, 1 0 0 1 0 0 0, which is not applied"):
+        assert len(io.read_cloud(tmp_path / "moved.txt")) == 295
+    for count in (b"290", b"2000000000"):
+        (tmp_path / "odd.pcd").write_bytes(raw.replace(b"300", count, 2))
+        with pytest.raises(ValueError, match="Invalid cloud"):
+            io.read_cloud(tmp_path / "odd.pcd")
+
+
+@pytest.mark.parametrize("ending", [".ptx", ".txt"])
+def test_the_scans_of_a_ptx_stand_at_their_poses(tmp_path, wall, ending):
+    text = ""
+    for number in range(2):
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[3, :3] = TURN.T, PLACE + [0, 0, 3 * number]  # of rows
+        head = [[30], [10], PLACE, *TURN.T, *matrix]
+        rows = wall.copy()
+        rows[:7] = 0
+        body = [[*row, 0.5] for row in rows]
+        text += "".join(" ".join(map(str, np.ravel(row).tolist())) + "\n" for row in head + body)
+    (tmp_path / f"w{ending}").write_text(text)
+    with pytest.warns(UserWarning, match="Dropped 14 of 600 points .* have no return"):
+        cloud = io.read_cloud(tmp_path / f"w{ending}")
+    expected = [wall[7:] @ TURN.T + PLACE + [0, 0, 3 * number] for number in range(2)]
+    np.testing.assert_allclose(cloud.points, np.concatenate(expected), atol=1e-9)
+    assert (cloud["row"][0], cloud["column"][3], cloud["scan"][-1]) == (7, 1, 1)
+    (tmp_path / "cut.ptx").write_text(text[:-200])
+    with pytest.raises(ValueError, match="rows where the header of scan 1 says 300"):
+        io.read_cloud(tmp_path / "cut.ptx")
+
+
+def test_real_files_of_other_programs(real):
+    for name, count, column in (
+        ("pumpAVisualReferenceImage.e57", 155_201, "red"),
+        ("livox_source.pcd", 41_657, "intensity"),
+        ("velodyne_source.pcd", 106_825, "timestamp"),
+    ):
+        cloud = io.read_cloud(real(f"public/{name}"))
+        assert len(cloud) == count
+        assert column in cloud
+    moved = io.read_cloud(real("public/translationWithoutRotation.e57"))
+    assert moved.points[[0, -1]].tolist() == [[4, 5, 6], [5, 6, 6]]
+
+
+@pytest.mark.parametrize(("name", "content", "part"), [
+    ("a.zip", b"PK\x03\x04rest", "a compressed archive. Must be another; unpack it"),
+    ("dtm.asc", b"ncols 12\nnrows 9\n", "an ESRI grid"),
+    ("a.xyz", b"SQLite format 3\0", "a GeoPackage"),
+    ("scan.fls", b"whatever", "a scanner's own format. Must be another; save it as E57"),
+    ("c.obj", b"v 1 2 3\n", "a mesh"),
+])  # fmt: skip
+def test_what_is_not_read_is_named(tmp_path, name, content, part):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(ValueError, match=part):
+        io.read_cloud(tmp_path / name)
