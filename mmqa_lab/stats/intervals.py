@@ -120,7 +120,7 @@ def student_reach(std: ArrayLike, freedom: ArrayLike) -> np.ndarray:
     >>> student_reach(1.0, [1, 9, 1000]).round(3).tolist()
     [12.706, 2.262, 1.962]
     """
-    std, freedom = check_together(std=std, freedom=freedom, missing=True)
+    std, freedom = real_array(std, "std"), real_array(freedom, "freedom")
     return stdtrit(np.where(np.greater(freedom, 0), freedom, np.nan), 0.975) * std
 
 
