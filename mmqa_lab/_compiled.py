@@ -1,14 +1,54 @@
-"""Threads for compiled work.
+"""Compiled functions, and threads for their work.
 
 Compiling costs a new user more than computing: `parallel=True`, sorting and array expressions take
 seconds each, plain loops a tenth of that.
 """
 
+import contextlib
+import functools
+import os
+import tempfile
+import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numba
+from numba.misc.appdirs import AppDirs
 
-__all__ = ["in_threads"]
+__all__ = ["end_with_parent", "in_threads", "njit"]
+
+
+def njit(*, cache=True, **choices):
+    """Return numba's decorator; compiled code is kept only where something can be written."""
+    places = Path(__file__).parent / "__pycache__", AppDirs("numba", False).user_cache_dir
+    return numba.njit(cache=cache and any(map(_can_write, places)), **choices)
+
+
+@functools.cache
+def _can_write(folder):
+    """Whether a file can be made in a folder, which is made where missing.
+
+    >>> _can_write(Path("/proc/none"))
+    False
+    """
+    with contextlib.suppress(OSError):
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    return False
+
+
+def end_with_parent():
+    """Let this process end when the one that started it has ended, however that came."""
+    parent = os.getppid()
+
+    def watch():
+        while os.getppid() == parent:
+            time.sleep(0.5)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def in_threads(kernel, n, *arguments, least=64):

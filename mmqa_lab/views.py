@@ -36,7 +36,9 @@ def can_render() -> bool:
     """
     for window in ("vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow", ""):
         environment = {**os.environ, WINDOW_VARIABLE: window}
-        child = subprocess.run([sys.executable, "-c", PROBE], env=environment, capture_output=True)
+        child = subprocess.run(
+            [sys.executable, "-P", "-c", PROBE], env=environment, capture_output=True
+        )
         if child.returncode == 0:
             os.environ[WINDOW_VARIABLE] = window
             return True

@@ -53,6 +53,7 @@ def bench(
     from dataclasses import replace
 
     from mmqa_lab import bench
+    from mmqa_lab._compiled import end_with_parent
     from mmqa_lab.io import own_folder
     from mmqa_lab.studies import chosen
 
@@ -65,7 +66,7 @@ def bench(
     with nullcontext() if out is None else own_folder(out):
         if raise_ and own:
             replace(comparison, methods=own, costs_cells=()).run()
-        pool = ProcessPoolExecutor(workers) if workers > 1 else None
+        pool = ProcessPoolExecutor(workers, initializer=end_with_parent) if workers > 1 else None
         results = comparison.run(executor=pool)
         tables, drawn = _answers(comparison, results)
         answer = next(iter(tables.values()))
@@ -104,7 +105,7 @@ def _named_function(text):
         function = getattr(importlib.import_module(module), name)
         if not callable(function):
             raise TypeError(f"{name} is not callable")
-    except Exception as error:  # the module of a reader may raise anything
+    except (Exception, SystemExit) as error:  # the module of a reader may raise anything
         raise ValueError(
             f"Invalid method {text!r}: {type(error).__name__}: {error}. Must be MODULE:FUNCTION."
         ) from error
@@ -191,6 +192,14 @@ def _fitting_workers():
     return max(1, min(cores, int(free / 1.5)))  # a study may need 1.5 GB
 
 
+def _apart():
+    """Let a worker end with its parent; Ctrl-C is for that alone."""
+    from mmqa_lab._compiled import end_with_parent
+
+    getattr(os, "setpgrp", int)()
+    end_with_parent()
+
+
 def _run_studies(run_study, studies, folder, quick, workers):
     """Run each study in a process of its own; yield it with its record when it ends."""
     import signal
@@ -199,8 +208,7 @@ def _run_studies(run_study, studies, folder, quick, workers):
 
     workers = min(workers or _fitting_workers(), len(studies))
     os.environ.setdefault("NUMBA_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // workers)))
-    apart = getattr(os, "setpgrp", None)  # Ctrl-C is for this process alone
-    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=apart)
+    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_apart)
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends the workers, too
     try:
         first = sorted(studies, key=lambda study: study.stem != LONGEST)

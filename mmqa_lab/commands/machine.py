@@ -6,6 +6,7 @@ states each error in one sentence.
 
 import functools
 import inspect
+import io
 import os
 import re
 import sys
@@ -164,6 +165,8 @@ def run(arguments):
     """Run a command line and return its exit status."""
     words = _with_negatives(arguments)
     name = words[0] if words and not words[0].startswith("-") else ""
+    if sys.stderr is None:  # closed, as by 2>&-
+        sys.stderr = io.StringIO()
     for stream in (sys.stdout, sys.stderr):  # what it cannot write, as an umlaut, becomes ?
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")
@@ -172,7 +175,7 @@ def run(arguments):
         status = app(words, exit_on_error=False, print_error=False, result_action="return_value")
         print(end="", flush=True)  # nothing where there is no output, as in a service
         return status if isinstance(status, int) else 0
-    except BrokenPipeError:  # as in: mmqa info *.laz | head
+    except (BrokenPipeError, SystemExit):  # as in: mmqa info *.laz | head; of --help by rich
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except KeyboardInterrupt:

@@ -89,7 +89,8 @@ def _writing(path):
         full = path.parent.is_dir() and shutil.disk_usage(path.parent).free < FULL_BYTES
         if not isinstance(error, OSError) and not full:
             raise
-        found = "no space is left" if full else error.strerror or "not written whole"
+        short = full or not error.strerror  # as numpy says of a write that ended early
+        found = "no space is left" if short else error.strerror
         raise OSError(f"Invalid file {path}: {found}. Must be writable.") from error
 
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 from scipy.optimize import linear_sum_assignment
 
 from mmqa_lab._checks import check_choice, check_positive, check_together, real_array, refuse
+from mmqa_lab._compiled import njit
 from mmqa_lab._results import Shown
 from mmqa_lab.lines.segments import directions, from_common_origin, lengths, midpoints
 from mmqa_lab.rotations import across

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from mmqa_lab._compiled import njit
 from mmqa_lab.lines.pairing import levers
 from mmqa_lab.lines.segments import midpoints
 from mmqa_lab.lines.settings import (

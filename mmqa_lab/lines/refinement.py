@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from mmqa_lab._compiled import njit
 from mmqa_lab.lines.pairing import apart, levers, paired
 from mmqa_lab.lines.settings import (
     CLUTTER_ENDS_PER_M,

@@ -21,11 +21,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice, check_number, check_points, real_array
-from mmqa_lab._compiled import in_threads
+from mmqa_lab._compiled import in_threads, njit
 
 __all__ = [
     "Components", "check_segments", "components", "directions", "from_common_origin", "lengths",

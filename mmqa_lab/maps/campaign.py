@@ -5,6 +5,7 @@ The figures do not depend on the size of the tiles.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import multiprocessing
 import os
@@ -156,9 +157,16 @@ def _files(paths):
 
 
 def _record(folder):
-    """The record of a run folder; an empty dict without a record."""
-    file = Path(folder) / OWN / "run.json"
-    return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+    """The record of a run folder; an empty dict without one that can be read."""
+    return _kept(Path(folder) / OWN / "run.json")
+
+
+def _kept(file):
+    """What a run wrote as JSON; an empty dict where that is missing or damaged."""
+    with contextlib.suppress(OSError, ValueError):  # as when the machine lost its power
+        kept = json.loads(file.read_text(encoding="utf-8"))
+        return kept if isinstance(kept, dict) else {}
+    return {}
 
 
 def _key(*values):
@@ -173,8 +181,16 @@ def _tile(own, place, run):
 
 
 def _missing(own, run):
-    """The tiles without a file."""
-    return [place for place in run["tiles"] if not _tile(own, place, run).is_file()]
+    """The tiles without a file that can be read."""
+    return [place for place in run["tiles"] if not _is_whole(_tile(own, place, run))]
+
+
+def _is_whole(file):
+    """Whether a tile is there and can be read."""
+    with contextlib.suppress(OSError, ValueError, EOFError):
+        np.load(file)
+        return True
+    return False
 
 
 def _remove_working_files(own):
@@ -191,8 +207,8 @@ def _sort_file(own, file, cell, tile, again):
     """
     key = _key(file, cell, tile)
     index = own / f"{key}{WORKING}"
-    if again and index.is_file():
-        return json.loads(index.read_text(encoding="utf-8"))
+    if again and (found := _kept(index)):
+        return found
     found = {"path": file[0], "n": 0, "crs": None, "step": 0.0, "slices": []}
     ends, total = [], np.zeros(3)
     remote = multiprocessing.parent_process() is not None  # what is said here, nobody reads

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from mmqa_lab._compiled import njit
 from mmqa_lab.cloud import extent, sort_into_cells
 
 __all__ = ["Grid"]

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from mmqa_lab._compiled import njit
 
 __all__ = ["CELLS_PER_SIZE", "LEAST_AREA", "LEAST_TRIAL", "assign", "grow", "try_planes"]
 

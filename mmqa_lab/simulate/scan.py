@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numba import njit
 
 from mmqa_lab._checks import check_number, check_points, check_positive
+from mmqa_lab._compiled import njit
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.rotations import across, rotations
 from mmqa_lab.simulate.scenes import Scene

@@ -10,11 +10,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_points
-from mmqa_lab._compiled import in_threads
+from mmqa_lab._compiled import in_threads, njit
 from mmqa_lab.simulate.surfaces import DISC, SHAFT, group
 
 __all__ = ["Hits", "Scene", "Tree", "nearest"]

@@ -13,9 +13,8 @@ sqrt(dx * dx + dy * dy) to the last bit.
 import math
 
 import numpy as np
-from numba import njit
 
-from mmqa_lab._compiled import in_threads
+from mmqa_lab._compiled import in_threads, njit
 
 __all__ = ["nearest_per_quadrant"]
 

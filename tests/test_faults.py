@@ -1,0 +1,189 @@
+"""Full disks, killed workers, two writers, damaged state, closed streams: nothing is lost."""
+
+import json
+import os
+import signal
+import stat
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from mmqa_lab import io, maps, samples
+from mmqa_lab._compiled import _can_write
+from mmqa_lab._results import printed
+from mmqa_lab.io import write_atomically
+from mmqa_lab.run.students import write_student_notebooks
+from mmqa_lab.studies import chosen
+
+PATCH = str(samples.path("road_patch"))
+WRITER = """
+import sys
+from mmqa_lab.io import write_atomically
+for number in range(40):
+    write_atomically(sys.argv[1], sys.argv[2] * 20_000)
+"""
+
+
+def mmqa(*words, **choices):
+    """A command in a process of its own."""
+    command = [sys.executable, "-m", "mmqa_lab", *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, **choices)
+
+
+# Writing
+
+
+def test_threads_and_processes_that_write_one_file_leave_a_whole_one(tmp_path):
+    file = tmp_path / "f.txt"
+    others = [subprocess.Popen([sys.executable, "-c", WRITER, file, word]) for word in "ab"]
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(lambda word: write_atomically(file, word * 20_000), "cdefghij" * 20))
+    assert [one.wait() for one in others] == [0, 0]
+    text = file.read_text()
+    assert len(text) == 20_000
+    assert len(set(text)) == 1
+    assert [one.name for one in tmp_path.iterdir()] == ["f.txt"]
+
+
+def test_a_link_under_a_temporary_name_is_not_followed(tmp_path):
+    victim = tmp_path / "victim"
+    victim.write_text("mine")
+    for name in (f".t.{os.getpid()}.csv", ".t.csv"):
+        (tmp_path / name).symlink_to(victim)
+    write_atomically(tmp_path / "t.csv", "theirs")
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / ".mmqa_lab").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises((OSError, ValueError), match=r"^Invalid folder"):  # noqa: SIM117
+        with io.own_folder(tmp_path / "folder"):
+            pass
+    assert victim.read_text() == "mine"
+    assert not (tmp_path / "elsewhere").exists()
+
+
+def test_the_mode_of_a_file_that_is_replaced_stays(tmp_path):
+    file = tmp_path / "f.csv"
+    file.write_text("a\n1\n")
+    file.chmod(0o600)
+    write_atomically(file, pd.DataFrame({"a": [2]}))
+    assert stat.S_IMODE(file.stat().st_mode) == 0o600
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A disk of 200 kB."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=200k", "none", folder], capture_output=True
+    )
+    if mounted.returncode:
+        pytest.skip("needs the right to mount")
+    yield folder
+    subprocess.run(["umount", folder], check=True)
+
+
+def test_a_full_disk_keeps_the_former_file_and_is_said_with_its_path(small_disk):
+    table, cloud = (
+        pd.DataFrame({"a": np.arange(60_000.0)}),
+        np.random.default_rng(1).random((40_000, 3)),
+    )
+    writers = {
+        "f.txt": lambda path: write_atomically(path, "x" * 400_000),
+        "f.csv": lambda path: write_atomically(path, table),
+        "f.las": lambda path: io.write_cloud(path, cloud),
+        "f.npy": lambda path: write_atomically(path, lambda part: cloud.tofile(part)),
+    }
+    for name, write in writers.items():
+        (small_disk / name).write_bytes(b"LASF former" if name == "f.las" else b"former\n")
+        with pytest.raises(OSError, match=f"^Invalid file .*{name}: .*pace.* Must be writable"):
+            write(small_disk / name)
+        assert b"former" in (small_disk / name).read_bytes()
+        assert not [one for one in small_disk.iterdir() if one.name.startswith(".f")]
+
+
+# Workers and state
+
+
+def test_workers_end_with_their_parent(tmp_path):
+    code = (
+        "import sys, time; from concurrent.futures import ProcessPoolExecutor as Pool\n"
+        "from multiprocessing import get_context; from mmqa_lab._compiled import end_with_parent\n"
+        "import os\n"
+        "if __name__ == '__main__':\n"
+        "    pool = Pool(1, get_context('spawn'), end_with_parent)\n"
+        "    print(pool.submit(os.getpid).result(), flush=True); pool.submit(time.sleep, 60)\n"
+        "    time.sleep(60)\n"
+    )
+    (tmp_path / "parent.py").write_text(code)
+    command = [sys.executable, str(tmp_path / "parent.py")]
+    parent = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    worker = int(parent.stdout.readline())
+    parent.send_signal(signal.SIGKILL)
+    parent.wait()
+    for _ in range(50):
+        if not Path(f"/proc/{worker}").exists():
+            return
+        state = Path(f"/proc/{worker}/stat").read_text().split()[2]
+        if state == "Z":  # ended, and nobody asks for its status
+            return
+        time.sleep(0.1)
+    pytest.fail("the worker lives on")
+
+
+def test_a_damaged_tile_and_a_damaged_record_count_as_missing(tmp_path):
+    rng = np.random.default_rng(1)
+    io.write_cloud(tmp_path / "a.las", rng.random((3000, 3)) * [8, 8, 0.01])
+    folder = tmp_path / "map"
+    made = {"cell": 1.0, "tile": 4}
+    whole = maps.open_map(maps.map_campaign([tmp_path / "a.las"], folder, **made))
+    own = folder / "mmqa_map"
+    for damaged in (sorted(own.glob("tile_*.npy"))[0], own / "run.json"):
+        damaged.write_bytes(b"")
+        again = maps.open_map(maps.map_campaign([tmp_path / "a.las"], folder, **made))
+        assert whole.equals(again)
+    assert json.loads((own / "run.json").read_text())
+
+
+def test_students_copies_are_written_again_unless_somebody_worked_on_them(tmp_path):
+    (target,) = write_student_notebooks(tmp_path, chosen(["mimic"]))
+    first = target.read_bytes()
+    write_student_notebooks(tmp_path, chosen(["mimic"]))
+    assert target.read_bytes() == first
+    target.write_bytes(first.replace(b"metadata", b"metadata ", 1))
+    with pytest.raises(ValueError, match="may be a student's work"):
+        write_student_notebooks(tmp_path, chosen(["mimic"]))
+
+
+def test_compiled_code_is_not_kept_where_nothing_can_be_written(tmp_path):
+    assert _can_write(tmp_path / "made")
+    assert not _can_write(Path("/proc/none"))
+
+
+# Streams
+
+
+def test_closed_streams_change_no_status_and_no_output(tmp_path):
+    csv = tmp_path / "rows.csv"
+    closed = f"{sys.executable} -m mmqa_lab info {PATCH} --csv {csv} 2>&- >/dev/null"
+    assert subprocess.run(closed, shell=True, timeout=120).returncode == 0
+    assert len(pd.read_csv(csv)) == 1
+    piped = f"{sys.executable} -m mmqa_lab --help | head -c 5 >/dev/null; exit ${{PIPESTATUS[0]}}"
+    assert subprocess.run(["bash", "-c", piped], timeout=120).returncode == 0
+
+
+def test_a_method_that_ends_the_process_is_refused(tmp_path):
+    (tmp_path / "ends.py").write_text("raise SystemExit(3)\n")
+    done = mmqa("bench", "anisotropy", "--method", "ends:f", "--quick", cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith("mmqa bench: Invalid method 'ends:f': SystemExit")
+
+
+def test_coordinates_keep_their_millimetres_in_every_printed_form():
+    table = pd.DataFrame({"name": "a", "x_m": [452123.4567], "centre": 5411.2347, "f": 3.21987})
+    assert printed(table).loc[0].tolist() == ["a", "452123.457", "5411.235", "3.22"]
