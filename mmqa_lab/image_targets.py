@@ -134,7 +134,7 @@ def _edge(region, _):
     share = 1.96 * edge.mtf50_sigma / edge.mtf50
     figures = _interval("mtf50", "_per_px", edge.mtf50, share * edge.mtf50)
     figures |= _interval("fwhm", "_px", edge.fwhm_px, share * edge.fwhm_px)
-    return figures | {"angle_deg": edge.angle_deg, "n": edge.n, "remark": edge.remark}
+    return figures | {"angle_deg": edge.angle_deg, "n": edge.n, "remark": "; ".join(edge.remarks)}
 
 
 def _star(band, target):
@@ -143,7 +143,7 @@ def _star(band, target):
     star = mtf.measure_star(band, (target["x_px"], target["y_px"]), **known)
     figures = _interval("mtf50", "_per_px", star.mtf50, 1.96 * star.mtf50_sigma)
     unseen = np.isnan(star.mtf50), "the star does not show the frequency of MTF50"
-    remark = "; ".join(sentences((star.remark, star.remark), unseen))
+    remark = "; ".join([*star.remarks, *sentences(unseen)])
     return figures | {"mtf10_per_px": star.at(0.1), "remark": remark}
 
 

@@ -103,7 +103,7 @@ def edge(kind, seed, noise=0.01, **how):
     def found(_):
         image, truth = odd_edge(kind, np.random.default_rng(seed), noise=noise, **how)
         fit = fit_edge(image)
-        return fit.mtf50 / truth, fit.remark
+        return fit.mtf50 / truth, "; ".join(fit.remarks)
 
     return found
 
@@ -124,7 +124,7 @@ def star(*, cycles=36, low=-9.0, high=9.0, hidden=9.0):
         y, x = np.mgrid[:150, :150] - 74.5
         seen = np.where(np.arctan2(y, x) > hidden, 0.3, image)
         fit = measure_star(seen, (74.5, 74.5), cycles=cycles, radius_px=70)
-        return fit.mtf50 / spread.mtf50(0), fit.remark
+        return fit.mtf50 / spread.mtf50(0), "; ".join(fit.remarks)
 
     return found
 
@@ -235,12 +235,12 @@ ROWS = {
     # edges and stars: MTF50 over the true one
     "edge, white clipped": Row(edge("white", 1), "white is clipped", 1.16),
     "edge, black clipped": Row(edge("black", 2), "black is clipped", 1.11),
-    "second edge": Row(edge("second", 3), "a second edge of 14% of the step", 0.75),
+    "second edge": Row(edge("second", 3), "a second edge of 1[345]% of the step", 0.75),
     "second edge near the first": Row(edge("near", 4), "as beside a second edge", 0.61),
-    "bent edge": Row(edge("bend", 5), "leaves a straight line by 60%", 0.834),
-    "kink": Row(edge("kink", 6), "leaves a straight line by 67%", 0.821),
-    "wave": Row(edge("wave", 7), "leaves a straight line by 58%", 0.833),
-    "torn edge": Row(edge("torn", 8), "leaves a straight line by 78%", 0.708),
+    "bent edge": Row(edge("bend", 5), "leaves a straight line by [5-7].%", 0.834),
+    "kink": Row(edge("kink", 6), "leaves a straight line by [5-7].%", 0.821),
+    "wave": Row(edge("wave", 7), "leaves a straight line by [5-7].%", 0.833),
+    "torn edge": Row(edge("torn", 8), "leaves a straight line by [5-7].%", 0.708),
     "sharpened": Row(edge("sharpened", 9), "^sharpened$", 1.6),
     "sharpened strongly": Row(edge("sharpened", 8), "^sharpened$", np.nan),
     "two edges": Row(two_edges, "leaves a single step by .* one edge", np.nan),

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from mmqa_lab._checks import refuse
 from mmqa_lab._results import sentences
-from mmqa_lab.mtf.edge_bins import BINS_PER_PIXEL, profile
+from mmqa_lab.mtf.edge_profile import BINS_PER_PIXEL, COARSE, profile
+from mmqa_lab.mtf.transfer import spread_edge
 
-__all__ = ["CUT", "check", "remark_on"]
+__all__ = ["CUT", "check", "remarks_on"]
 __dir__ = __all__.copy
 
 EDGE_BLOCKS = 8
@@ -24,7 +24,7 @@ MTF50 is half a per cent too low, at a half an eighth."""
 OTHER_STEP, OTHER_EDGE = 0.03, 0.25
 """A second step beside the edge over the first one: remark, and refusal."""
 
-OVERSHOOT, LOBE_BINS = 0.01, (4, 8, 12, 16)
+OVERSHOOT, LOBE_BINS = 0.006, (4, 8, 12, 16)
 """Of both sides of a profile, over the step: only sharpening gives that; bins that are averaged."""
 
 CUT, ONE_SIDED = 0.005, 0.025
@@ -34,65 +34,68 @@ something else is on one side."""
 ODD_SIDES = "the profile is not alike on both sides, as beside a second edge"
 
 
-def remark_on(fit, turn, mtf50, crooked, second, by_sigmoid):
-    """What is said about an edge; empty if nothing is."""
+def check(fit):
+    """Raise if there is no edge, or more than one."""
+    step = f"a step of {fit.step:.3g} at a noise of {fit.grain * fit.step:.3g}"
+    refuse(not np.sqrt(fit.length) > 8 * fit.grain, "edge", step, "one that stands out")
+    bent = bend(fit)
+    leaves = f"it leaves a straight line by {bent:.0%} of its width"
+    refuse(bent > TORN, "edge", leaves, "straight, neither bent nor torn")
+    strange = strangeness(fit)
+    several = strange > OTHER_EDGE and overshoot(fit) <= OVERSHOOT
+    leaves = f"the profile leaves a single step by {strange:.0%} of it"
+    refuse(several, "edge", leaves, "one edge between two plain sides")
+
+
+def remarks_on(fit, mtf50, turn, by_sigmoid):
+    """What is said about an edge."""
     cut = [side for side, sign in (("white", 1), ("black", -1)) if clipped(fit, sign)]
+    bent, second = bend(fit), max(second_step(fit, -1), second_step(fit, 1))
     alone = not cut and second <= OTHER_STEP
+    along_grid = f"edge within {SMALLEST_ANGLE_DEG:g} degrees of the pixel grid"
+    levels = f"{1 / fit.rounding:.0f} grey values in the step and no noise"
     said = sentences(
         (not np.isfinite(mtf50), "MTF stays above 0.5"),
-        (
-            turn < SMALLEST_ANGLE_DEG,
-            f"edge within {SMALLEST_ANGLE_DEG:g} degrees of the pixel grid",
-        ),
+        (turn < SMALLEST_ANGLE_DEG, along_grid),
         (by_sigmoid and strangeness(fit) > 0.02, "no sigmoid of this shape fits"),
         (overshoot(fit) > OVERSHOOT, "sharpened"),
         *((True, f"{side} is clipped: MTF50 is too high") for side in cut),
-        (crooked > CROOKED, f"not straight by {crooked:.0%} of its width: MTF50 is too low"),
+        (bent > CROOKED, f"not straight by {bent:.0%} of its width: MTF50 is too low"),
         (second > OTHER_STEP, f"a second edge of {second:.0%} of the step"),
         (alone and one_sided(fit) > ONE_SIDED, ODD_SIDES),
+        (fit.rounding * fit.rounded_alike > COARSE, f"{levels}: MTF50 may be a tenth too high"),
+        (fit.hot > 0, f"{fit.hot} odd pixels left out"),
     )
-    return "; ".join(said)
+    return tuple(said)
 
 
 def strangeness(fit):
     """Largest share of the step by which the binned profile leaves the sigmoid."""
     _, means, count, _ = profile(fit.distance, fit.residuals)
-    return float((np.abs(means) - 4 * fit.noise / np.sqrt(count)).max() / fit.contrast)
+    return float((np.abs(means) - 4 * fit.grain / np.sqrt(count)).max())
 
 
-def check(fit, rows, columns):
-    """Raise if there is no edge, or more than one; how crooked it is, and a second step."""
-    faint = not fit.contrast * np.sqrt(rows) > 8 * fit.noise
-    step = f"a step of {fit.contrast:.3g} at a noise of {fit.noise:.3g}"
-    refuse(faint, "edge", step, "one that stands out")
-    row = fit.rows // columns
-    crooked = max(bend(fit, row // size) for size in (1, 4, max(rows // EDGE_BLOCKS, 5)))
-    leaves = f"it leaves a straight line by {crooked:.0%} of its width"
-    refuse(crooked > TORN, "edge", leaves, "straight, neither bent nor torn")
-    strange = strangeness(fit)
-    several = strange > OTHER_EDGE and overshoot(fit) <= OVERSHOOT
-    leaves = f"the profile leaves a single step by {strange:.0%} of it"
-    refuse(several, "edge", leaves, "one edge between two plain sides")
-    return crooked, max(second_step(fit, -1), second_step(fit, 1))
-
-
-def bend(fit, part):
-    """Standard deviation of the edge's place in parts of its length over its width.
+def bend(fit):
+    """Largest standard deviation of the edge's place in parts of its length, over its width.
 
     What noise gives, and four standard deviations of that, is taken off.
     """
-    left = fit.values - np.interp(fit.distance, fit.places, fit.means)
+    places, means, *_ = fit.bins
+    left = fit.values - np.interp(fit.distance, places, means)
     noise = np.var(left[np.abs(fit.distance) > 4 * fit.spread + 2])
-    slope = np.exp(-((fit.distance / fit.spread) ** 2) / 2)
-    slope *= fit.contrast / (np.sqrt(2 * np.pi) * fit.spread)
-    weight = np.bincount(part, slope**2)
-    shift = np.bincount(part, slope * left) / np.maximum(weight, 1e-12)
-    full = np.flatnonzero(weight > np.median(weight) / 2)
-    if len(full) < 4:
-        return 0.0
-    shift = shift[full] - np.polyval(np.polyfit(full, shift[full], 1), full)
-    by_noise = np.mean(noise / weight[full]) * (1 + 4 * np.sqrt(2 / len(full)))
-    return float(np.sqrt(max((shift @ shift) / (len(full) - 2) - by_noise, 0)) / fit.spread)
+    slope = np.exp(-((fit.distance / fit.spread) ** 2) / 2) / (np.sqrt(2 * np.pi) * fit.spread)
+    found = 0.0
+    for size in (1, 4, max(fit.length / EDGE_BLOCKS, 5)):
+        part = ((fit.along - fit.along.min()) / size).astype(int)
+        weight = np.bincount(part, slope**2)
+        shift = np.bincount(part, slope * left) / np.maximum(weight, 1e-12)
+        full = np.flatnonzero(weight > np.median(weight) / 2)
+        if len(full) < 4:
+            continue
+        shift = shift[full] - np.polyval(np.polyfit(full, shift[full], 1), full)
+        by_noise = np.mean(noise / weight[full]) * (1 + 4 * np.sqrt(2 / len(full)))
+        found = max(found, (shift @ shift) / (len(full) - 2) - by_noise)
+    return float(np.sqrt(found) / fit.spread)
 
 
 def second_step(fit, side):
@@ -101,51 +104,64 @@ def second_step(fit, side):
     The side's level, slope and the long tail of a lens, which falls with the inverse of the
     distance, are estimated with it.
     """
-    beside = fit.places * side > 3 * fit.spread + 2
-    far = fit.places[beside] * side
-    weight = np.sqrt(fit.count[beside]) / max(fit.noise, 1e-9)
+    places, means, count, _ = fit.bins
+    beside = places * side > 3 * fit.spread + 2
+    far = places[beside] * side
+    weight = np.sqrt(count[beside]) / max(fit.grain, 1e-9)
     if len(far) < 4 * BINS_PER_PIXEL:
         return 0.0
     plain = np.column_stack([np.ones_like(far), 1 / far, far]) * weight[:, None]
     beyond = (far[:, None] > np.arange(far.min() + 2, far.max() - 2, 0.5)) * weight[:, None]
-    basis, seen = np.linalg.qr(plain)[0], weight * fit.means[beside]
+    basis, seen = np.linalg.qr(plain)[0], weight * means[beside]
     beyond = beyond - basis @ (basis.T @ beyond)
     square = np.square(beyond).sum(axis=0)
     steps = np.abs(beyond.T @ seen) / square  # of least squares, beside the plain side
-    return float(steps[steps**2 * square > 25].max(initial=0) / fit.contrast)
+    return float(steps[steps**2 * square > 25].max(initial=0))
 
 
 def clipped(fit, side):
     """Whether one side is cut off: its pixels share a value, and the profile is one-sided."""
-    beside = side * fit.values[side * fit.distance > 4 * fit.spread + 1]
-    levels = np.unique(side * fit.values)[-2:]
+    beside = side * fit.grey[side * fit.distance > 4 * fit.spread + 1]
+    levels = np.unique(side * fit.grey)[-2:]
     if len(levels) < 2 or np.mean(beside == levels[1]) < 0.1:
         return False
     # noise on one side of a wall
-    noisy = beside.std() > max(np.diff(levels)[0], CUT / 2 * fit.contrast)
-    return noisy or one_sided(fit) > CUT
+    noisy = beside.std() > max(np.diff(levels)[0], CUT / 2)
+    return noisy or one_sided(fit) > CUT + fit.rounding / 2
 
 
 def one_sided(fit):
     """By how much both halves of the profile differ, over the step, less what noise gives."""
-    share, noise = fit.shares()
-    reach = np.linspace(0, 4 * fit.spread + 1, 60)
+    places, share, noise = _shares(fit)
+    # between places the sigmoid tells how the profile is bent
+    left = share - spread_edge(places, fit.width, fit.angle)
+    reach = np.linspace(0, min(4 * fit.spread + 1, -places[0], places[-1]), 60)
     middle = np.linspace(-0.6, 0.6, 61)[:, None] * fit.spread
-    curve = PchipInterpolator(fit.places, share)
-    halves = curve(middle + reach) + curve(middle - reach) - 1
+    halves = -1.0
+    for there in (middle + reach, middle - reach):
+        halves = halves + spread_edge(there, fit.width, fit.angle) + np.interp(there, places, left)
     least = np.sqrt(np.square(halves).mean(axis=1)).min()
     return float(np.sqrt(max(least**2 - (1.3 * noise) ** 2, 0)))
 
 
 def overshoot(fit):
     """By how much both sides pass their levels where it is more than noise, over the step."""
-    share, noise = fit.shares()
-    end, found = min(3 * fit.spread + 6, -fit.places[0], fit.places[-1]), 0.0
+    places, share, noise = _shares(fit)
+    end, found = min(3 * fit.spread + 6, -places[0], places[-1]), 0.0
     reach = np.arange(0, end, 1 / BINS_PER_PIXEL)
-    past = [sign * np.interp(sign * reach, fit.places, share - (sign > 0)) for sign in (-1, 1)]
+    past = [sign * np.interp(sign * reach, places, share - (sign > 0)) for sign in (-1, 1)]
     for bins in LOBE_BINS:
         sides = np.stack([np.convolve(one, np.full(bins, 1 / bins), "valid") for one in past])
-        mean = sides.mean(axis=0)
+        mean = sides.mean(axis=0) - fit.rounding / 2
         clear = (mean > 4 * noise / np.sqrt(2 * bins)) & (sides.min(axis=0) > mean / 4)
         found = max(found, float(mean[clear].max(initial=0)))
     return found
+
+
+def _shares(fit):
+    """Profile between the levels of both sides as 0 and 1, and the noise of a place."""
+    places, means, count, _ = fit.bins
+    far = 4 * fit.spread + 1
+    sides = [fit.values[way * fit.distance > far] for way in (-1, 1)]
+    low, high = (np.median(one) if len(one) else k for k, one in enumerate(sides))
+    return places, (means - low) / (high - low), fit.grain / np.sqrt(np.median(count))

@@ -7,7 +7,7 @@ import numpy as np
 from mmqa_lab._results import sentences
 from mmqa_lab.mtf.edge_doubts import CUT
 
-__all__ = ["STAR_PARTS", "check_cycles", "clipped_side", "remark_on"]
+__all__ = ["STAR_PARTS", "check_cycles", "clipped_side", "remarks_on"]
 __dir__ = __all__.copy
 
 STAR_PARTS, LARGEST_DRIFT, SEEN_SHARE = 12, 1.5, 0.7
@@ -15,12 +15,12 @@ STAR_PARTS, LARGEST_DRIFT, SEEN_SHARE = 12, 1.5, 0.7
 and its contrast in a part that is not hidden is at least this share of the others'."""
 
 
-def remark_on(waves, clipped):
-    """What is said about a star; empty if nothing is."""
+def remarks_on(waves, clipped):
+    """What is said about a star."""
     faintest = np.abs(waves).min() / np.median(np.abs(waves))
     hidden = f"a part of the star is hidden: contrast {faintest:.0%} of the others'"
     clips = f"{clipped} is clipped: MTF50 is too high"
-    return "; ".join(sentences((faintest < SEEN_SHARE, hidden), (clipped, clips)))
+    return tuple(sentences((faintest < SEEN_SHARE, hidden), (clipped, clips)))
 
 
 def clipped_side(black, white):

@@ -16,7 +16,7 @@ from scipy.optimize import least_squares, minimize_scalar
 
 from mmqa_lab._checks import check_count, check_image, check_number, check_positive, refuse
 from mmqa_lab._results import Shown, about
-from mmqa_lab.mtf.star_doubts import STAR_PARTS, check_cycles, clipped_side, remark_on
+from mmqa_lab.mtf.star_doubts import STAR_PARTS, check_cycles, clipped_side, remarks_on
 from mmqa_lab.mtf.transfer import FREQUENCIES, LENS_TRANSFERS, SIGMOID_PX, crossing, lens_mtf
 
 __all__ = ["StarMtf", "measure_star"]
@@ -53,7 +53,7 @@ class StarMtf(Shown):
         x (column), y (row) in pixels of the given image, the first pixel's centre at 0.
     tilt_deg : float
         Angle under which the star was seen; 0 if it is round.
-    remark : str
+    remarks : tuple of str
         Reasons to doubt the figures; empty if there are none.
 
     Examples
@@ -71,7 +71,7 @@ class StarMtf(Shown):
     radius_px: np.ndarray
     centre: tuple
     tilt_deg: float = 0.0
-    remark: str = ""
+    remarks: tuple[str, ...] = ()
 
     def at(self, share: float) -> float:
         """Frequency at which the contrast first falls to a share; NaN where it does not.
@@ -213,9 +213,9 @@ def measure_star(
     # three standard deviations of the Gaussian of the same MTF50
     clear = 0.56 / crossing(FREQUENCIES, lens(FREQUENCIES), 0.5)
     levels, borders, clipped = _plain_levels(pixels, place, n, radius, clear)
-    remark = remark_on(waves, clipped)
+    remarks = remarks_on(waves, clipped)
     scale, centre = 2 * _plain_level(lens, borders) / np.ptp(levels), tuple(place[:2].tolist())
-    known = {"centre": centre, "tilt_deg": _tilt(place), "remark": remark}
+    known = {"centre": centre, "tilt_deg": _tilt(place), "remarks": remarks}
     return StarMtf(frequency, scale * amplitude, scale * std, rings, **known)
 
 

@@ -180,8 +180,8 @@ def odd_edges(draws):
                 except ValueError:
                     refused += 1
                     continue
-                said += bool(found.remark)
-                if not found.remark:
+                said += bool(found.remarks)
+                if not found.remarks:
                     off.append(abs(found.mtf50 / truth - 1))
             row = {"edge": kind, "noise": noise, "draws": draws, "refused": refused, "said": said}
             rows.append(row | {"silent": len(off), "largest error (%)": 100 * max(off, default=0)})
@@ -219,8 +219,8 @@ def stars(draws):
             except ValueError:
                 row["refused"] += 1
                 continue
-            row["said" if found.remark else "silent"] += 1
-            if not found.remark:
+            row["said" if found.remarks else "silent"] += 1
+            if not found.remarks:
                 row["off (%)"] = max(row["off (%)"], 100 * abs(found.mtf50 / spread.mtf50(0) - 1))
         rows.append(row)
     write_section("Images: stars", pd.DataFrame(rows))
