@@ -426,10 +426,10 @@ def test_outlines_as_programs_write_them_are_the_same(tmp_path, kind, crs, withi
 @pytest.mark.parametrize(
     ("node", "part"),
     [
-        ({"type": "FeatureCollection", "features": [geojson()] * 2}, "2 features"),
-        ({"type": "FeatureCollection", "features": []}, "0 features"),
-        (geojson(geometry=None), "of type Feature"),
-        (geojson("LineString"), "of type LineString"),
+        ({"type": "FeatureCollection", "features": [geojson()] * 2}, "2 outlines"),
+        ({"type": "FeatureCollection", "features": []}, "of type unknown"),
+        (geojson(geometry=None), "of type unknown"),
+        (geojson(geometry={"type": "LineString", "coordinates": RING}), "of type LineString"),
         (geojson(rings=[v[:2] for v in RING]), "vertices without heights"),
         (geojson(crs={"properties": {"name": "EPSG:999999"}}), "a coordinate system that is known"),
         (geojson(crs={"properties": {"name": "local"}}), "a coordinate system that is known"),

@@ -23,7 +23,7 @@ def info(clouds: list[Path], /):
     Parameters
     ----------
     clouds
-        Cloud files: LAS, LAZ, COPC, PLY or text; images; outlines; and folders of such files.
+        Cloud files; images; outlines; and folders of such files.
     """
     import pandas as pd
 
@@ -38,6 +38,8 @@ def _contents(file):
     """What a file contains, as a row."""
     from dataclasses import replace
 
+    import numpy as np
+
     from mmqa_lab import io
     from mmqa_lab.cloud import Cloud, describe
 
@@ -46,7 +48,9 @@ def _contents(file):
         bands, rows, columns = io.read_bands(file).shape
         return {"image": f"{columns} x {rows} pixels, {bands} bands"}
     if ending in io.OUTLINE_ENDINGS:
-        return describe(Cloud(io.read_polygon(file)))
+        outlines = io.read_outlines(file)
+        names = ", ".join(name for name, _ in outlines)
+        return describe(Cloud(np.concatenate([ring for _, ring in outlines]))) | {"outlines": names}
     parts = list(io.iterate_cloud(file))
     whole = Cloud.concatenate(replace(part, crs=None) for part in parts)
     return describe(replace(whole, crs=parts[0].crs if parts else None))
@@ -75,9 +79,10 @@ def evaluate(
     Parameters
     ----------
     clouds
-        Cloud files: LAS, LAZ, COPC, PLY or text.
+        Cloud files: LAS, LAZ, COPC, E57, PCD, PLY, PTX or text.
     polygon
-        The outline of the surface: a CSV or GeoJSON file, or "x,y,z; x,y,z; x,y,z".
+        Outlines of one or more surfaces: GeoPackage, shapefile, KML, DXF, GeoJSON, WKT or CSV, or
+        "x,y,z; x,y,z; x,y,z". Those without heights are laid onto the cloud.
     rho0
         The density asked for, points per m2. The table then says whether f matters.
     axes
@@ -92,6 +97,8 @@ def evaluate(
     out
         Draw the last cloud into this file: .pdf, .png or .svg.
     """
+    import pandas as pd
+
     from mmqa_lab import chart_cloud, io
 
     check_ending(out, "figure", FIGURE_ENDINGS)
@@ -101,12 +108,20 @@ def evaluate(
 
     def measured(file):
         cloud = io.read_cloud(file, columns=())
-        ring = None if polygon is None else io.read_polygon(polygon, crs=cloud.crs)
+        rings = [("", None)]
+        if polygon is not None:
+            rings = io.read_outlines(polygon, crs=cloud.crs, points=cloud)
+        frames = [_figures(name if len(rings) > 1 else "", ring, cloud) for name, ring in rings]
+        return pd.concat(frames, ignore_index=True)
+
+    def _figures(name, ring, cloud):
         quality = chart_cloud.evaluate_cloud(cloud, polygon=ring, **choices)
         frame = _with_doubts(quality) if intervals else quality.to_frame()
         if detail is not None:
             frame["details_seen"] = quality.details(detail)[0]
         done.append(quality)
+        if name:
+            frame.insert(0, "outline", name)
         return frame.assign(remarks=" ".join(quality.remarks))
 
     frame = each_file(clouds, "cloud", measured)
@@ -137,16 +152,16 @@ def pattern(clouds: list[Path], /, *, polygon: str | None = None):
     Parameters
     ----------
     clouds
-        Cloud files: LAS, LAZ, COPC, PLY or text.
+        Cloud files: LAS, LAZ, COPC, E57, PCD, PLY, PTX or text.
     polygon
-        The outline of the patch: a CSV or GeoJSON file, or "x,y,z; x,y,z; x,y,z".
+        The outline of the patch, of the same forms.
     """
     from mmqa_lab import chart_cloud, io, scan_pattern
 
     def measured(file):
         cloud = io.read_cloud(file)
         if polygon is not None:
-            ring = io.read_polygon(polygon, crs=cloud.crs)
+            ring = io.read_polygon(polygon, crs=cloud.crs, points=cloud)
             cloud = cloud[chart_cloud.inside_polygon(cloud, ring)]
         numbers = {name: cloud[name] for name in ("gps_time", "scan_line") if name in cloud}
         return scan_pattern.measure_pattern(cloud, **numbers).to_frame()

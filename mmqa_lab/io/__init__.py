@@ -10,7 +10,13 @@ from mmqa_lab.io.clouds import CLOUD_ENDINGS, iterate_cloud, read_cloud
 from mmqa_lab.io.files import own_folder, write_atomically
 from mmqa_lab.io.images import IMAGE_ENDINGS, read_bands, read_image
 from mmqa_lab.io.las import LAS_ENDINGS, write_cloud
-from mmqa_lab.io.polygons import OUTLINE_ENDINGS, read_polygon, write_polygon
+from mmqa_lab.io.outlines import (
+    OUTLINE_ENDINGS,
+    read_outlines,
+    read_polygon,
+    write_outlines,
+    write_polygon,
+)
 from mmqa_lab.io.rasters import read_heights
 from mmqa_lab.io.tables import coordinate_columns, read_segments, read_table, with_numbers
 from mmqa_lab.io.trajectories import read_trajectory
@@ -18,6 +24,6 @@ from mmqa_lab.io.trajectories import read_trajectory
 __all__ = [
     "CLOUD_ENDINGS", "IMAGE_ENDINGS", "LAS_ENDINGS", "OUTLINE_ENDINGS", "coordinate_columns",
     "iterate_cloud", "own_folder", "read_bands", "read_camera", "read_cloud", "read_heights",
-    "read_image", "read_polygon", "read_segments", "read_table", "read_trajectory",
-    "with_numbers", "write_atomically", "write_cloud", "write_polygon",
+    "read_image", "read_outlines", "read_polygon", "read_segments", "read_table", "read_trajectory",
+    "with_numbers", "write_atomically", "write_cloud", "write_outlines", "write_polygon",
 ]  # fmt: skip

@@ -1,0 +1,133 @@
+"""Outlines of a GIS: the same ring in every form, several with their names, on the cloud."""
+
+import json
+
+import numpy as np
+import pyogrio
+import pyproj
+import pytest
+import shapely
+
+from mmqa_lab import io
+from mmqa_lab.__main__ import main
+from mmqa_lab.cloud import Cloud
+
+ZONE = pyproj.CRS(25832)
+CORNER = np.array([500_000.0, 5_400_000.0, 100.0])
+RING = CORNER + [[0.2, 0.2, 0.01], [1.8, 0.2, 0.09], [1.8, 1.6, 0.09], [0.2, 1.6, 0.01]]
+
+
+@pytest.fixture
+def slope(rng):
+    """A road of 6 m x 2 m whose height rises by 5 % to the east, m."""
+    plan = rng.random((4000, 2)) * [6, 2]
+    return CORNER + np.column_stack([plan, 0.05 * plan[:, 0]])
+
+
+def written(path, rings, names, *, crs="EPSG:25832", flat=False, **layout):
+    """Write rings by pyogrio."""
+    made = [shapely.Polygon(np.asarray(ring)[:, : 2 if flat else 3]) for ring in rings]
+    kind = "Polygon" if flat else "Polygon Z"
+    shapes = np.array([shapely.to_wkb(one) for one in made])
+    fields = [np.array(names, dtype=object)]
+    pyogrio.raw.write(path, shapes, fields, ["name"], geometry_type=kind, crs=crs, **layout)
+
+
+def same_ring(found, expected, atol):
+    """Whether two rings have the same vertices."""
+    one, other = (ring[np.lexsort(np.round(ring, 2).T)] for ring in (found, expected))
+    return np.allclose(one, other, 0, atol)
+
+
+@pytest.mark.parametrize("name", ["o.gpkg", "o.shp", "o.geojson", "o.kml", "o.wkt", "o.csv"])
+def test_a_ring_is_the_same_in_every_form(tmp_path, name):
+    path, atol = tmp_path / name, 1e-6
+    if name in ("o.wkt", "o.csv"):
+        text = shapely.to_wkt(shapely.Polygon(RING), rounding_precision=9)
+        path.write_text(text if name == "o.wkt" else f'WKT,id\n"{text}",1\n')
+    elif name == "o.kml":
+        to = pyproj.Transformer.from_crs(ZONE, 4326, always_xy=True)
+        degrees = np.column_stack([*to.transform(*RING[:, :2].T), RING[:, 2]])
+        rows = " ".join(f"{x:.10f},{y:.10f},{z}" for x, y, z in [*degrees, degrees[0]])
+        ring = f"<LinearRing><coordinates>{rows}</coordinates></LinearRing>"
+        polygon = f"<Polygon><outerBoundaryIs>{ring}</outerBoundaryIs></Polygon>"
+        path.write_text(
+            '<kml xmlns="http://www.opengis.net/kml/2.2"><Document><Placemark><name>a</name>'
+            f"{polygon}</Placemark></Document></kml>"
+        )
+        atol = 1e-3
+    else:
+        written(path, [RING], ["a"])
+    ((label, found),) = io.read_outlines(path, crs=ZONE)
+    assert label == ("1" if name in ("o.wkt", "o.csv") else "a")
+    assert same_ring(found, RING, atol)
+    assert same_ring(io.read_polygon(path, crs=ZONE), RING, atol)
+
+
+def test_a_closed_polyline_of_a_drawing_is_an_outline(tmp_path):
+    rows = ["0\nVERTEX\n8\nwall\n10\n{}\n20\n{}\n30\n{}\n70\n32".format(*v) for v in RING.tolist()]
+    body = "\n".join(["0\nPOLYLINE\n8\nwall\n66\n1\n70\n9", *rows, "0\nSEQEND"])
+    (tmp_path / "o.dxf").write_text(f"0\nSECTION\n2\nENTITIES\n{body}\n0\nENDSEC\n0\nEOF\n")
+    ((label, found),) = io.read_outlines(tmp_path / "o.dxf")
+    assert label == "wall"
+    assert same_ring(found, RING, 1e-9)
+
+
+@pytest.mark.parametrize("flat", [False, True])
+def test_five_outlines_are_five_rows(tmp_path, slope, capfd, flat):
+    rings = [RING * [1, 1, 1] + [0.9 * k, 0, 0.045 * k] for k in range(5)]
+    names = ["first", "second", "third", "fourth", "fifth"]
+    written(tmp_path / "five.gpkg", rings, names, flat=flat)
+    io.write_cloud(tmp_path / "road.laz", Cloud(slope, crs=ZONE))
+    done = main(["evaluate", str(tmp_path / "road.laz"), "--polygon", str(tmp_path / "five.gpkg"),
+                 "--json"])  # fmt: skip
+    assert done == 0
+    rows = json.loads(capfd.readouterr().out)
+    assert [row["outline"] for row in rows] == names
+    for row, ring in zip(rows, rings, strict=True):
+        inside = shapely.contains_xy(shapely.Polygon(ring), *slope[:, :2].T).sum()
+        assert abs(row["n"] - inside) <= 2
+    assert main(["pattern", str(tmp_path / "road.laz"), "--polygon", str(tmp_path / "five.gpkg")])
+    assert "5 outlines. Must be one" in capfd.readouterr().err
+
+
+def test_outlines_without_heights_lie_on_the_surface_below_what_stands_on_it(tmp_path, slope):
+    slope[:300, 2] += 1.5  # people
+    written(tmp_path / "flat.gpkg", [RING], ["a"], flat=True)
+    with pytest.warns(UserWarning, match="no heights: laid onto the cloud"):
+        found = io.read_polygon(tmp_path / "flat.gpkg", crs=ZONE, points=slope)
+    assert same_ring(found, RING, 1e-3)
+    with pytest.raises(ValueError, match="vertices without heights"):
+        io.read_polygon(tmp_path / "flat.gpkg", crs=ZONE)
+    with pytest.raises(ValueError, match="0 points inside it"):
+        io.read_polygon(tmp_path / "flat.gpkg", crs=ZONE, points=slope + [100, 0, 0])
+
+
+def test_outlines_in_another_system_are_moved_onto_the_cloud(tmp_path):
+    to = pyproj.Transformer.from_crs(ZONE, 25833, always_xy=True)
+    other = np.column_stack([*to.transform(*RING[:, :2].T), RING[:, 2]])
+    written(tmp_path / "o.gpkg", [other], ["a"], crs="EPSG:25833")
+    assert same_ring(io.read_polygon(tmp_path / "o.gpkg", crs=ZONE), RING, 1e-6)
+    assert same_ring(io.read_polygon(tmp_path / "o.gpkg"), other, 1e-6)
+
+
+def test_holes_and_damage_get_one_sentence(tmp_path):
+    hole = shapely.Polygon(RING, [RING[:3] * 0.5 + RING.mean(axis=0) * 0.5])
+    (tmp_path / "h.wkt").write_text(shapely.to_wkt(hole))
+    with pytest.raises(ValueError, match=r"2 rings, so a hole\. Must be of one ring"):
+        io.read_outlines(tmp_path / "h.wkt")
+    (tmp_path / "d.gpkg").write_bytes(b"SQLite format 3\0" + bytes(90))
+    with pytest.raises(ValueError, match=r"damaged.* Must be outlines of a GIS"):
+        io.read_outlines(tmp_path / "d.gpkg")
+
+
+@pytest.mark.parametrize("ending", [".geojson", ".gpkg"])
+def test_outlines_there_and_back(tmp_path, ending):
+    before = {"wall": RING, "001": RING + [3, 0, 0.25]}
+    io.write_outlines(tmp_path / f"o{ending}", before, crs=ZONE)
+    again = dict(io.read_outlines(tmp_path / f"o{ending}", crs=ZONE))
+    assert list(again) == list(before)
+    for name, ring in before.items():
+        assert np.array_equal(again[name], ring)
+    with pytest.raises(ValueError, match=r"Invalid ending '\.csv'"):
+        io.write_outlines(tmp_path / "o.csv", before)
