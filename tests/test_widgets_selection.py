@@ -11,6 +11,7 @@ from matplotlib.backend_bases import MouseEvent
 
 from mmqa_lab import plots, widgets
 from mmqa_lab.chart_cloud import evaluate_cloud
+from mmqa_lab.cloud import Cloud
 from mmqa_lab.planes import fit_plane
 from mmqa_lab.widgets import selection
 from mmqa_lab.widgets.screen import LOCK
@@ -81,13 +82,17 @@ def test_corners_are_typed_undone_and_kept_as_points(wall, screen):
     tool = widgets.SelectionTool(wall)
     first, corners = tool.vertices, tool._corners.value
     assert len(corners.split(";")) == 4
-    tool._corners.value = "-0.5, -0.5; 0.5, -0.5; 0.5, 0.5; -0.5, 0.5;"
-    assert tool.quality.area_polygon_m2 == pytest.approx(1)
+    square = tool._to_space([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
+    tool._corners.value = ";\n".join("{:.4f} {:.4f} {:.4f}".format(*one) for one in square) + ";"
+    assert tool.quality.area_polygon_m2 == pytest.approx(1, abs=1e-3)
     assert tool.selected().sum() == tool.quality.n
     assert tool.quality.n == evaluate_cloud(tool.points[tool.selected()]).n
-    tool._corners.value = "0, 0; 1, 1; 1, 0"
+    typed = tool._to_space([[0, 0], [0.8, 0.8], [0.8, 0]]).round(4)
+    comma = "\n".join(" ".join(map(str, one)).replace(".", ",") for one in typed.tolist())
+    tool._corners.value = comma
+    assert np.allclose(tool.vertices, typed, atol=1e-3)
     tool._undo.click()
-    assert tool.quality.area_polygon_m2 == pytest.approx(1)
+    assert tool.quality.area_polygon_m2 == pytest.approx(1, abs=1e-3)
     tool._undo.click()
     assert np.allclose(tool.vertices, first, atol=1e-6)
     assert tool._corners.value == corners
@@ -96,7 +101,7 @@ def test_corners_are_typed_undone_and_kept_as_points(wall, screen):
 
 
 @pytest.mark.parametrize(
-    "text", ["", "0, 0; 1, 1", "0, 0; 1, b; 2, 0", "0, 0, 0; 1, 1, 1; 1, 0, 2"]
+    "text", ["", "0, 0, 0; 1, 1, 1", "0, 0, 0; 1, b, 0; 2, 0, 1", "0, 0; 1, 1; 1, 0"]
 )
 def test_typed_corners_that_are_none_are_a_sentence_and_change_nothing(wall, screen, text):
     tool = widgets.SelectionTool(wall)
@@ -117,7 +122,7 @@ def test_places_that_would_not_show_a_detail_are_marked(screen):
     marked = tool._to_space(np.transpose(tool._missed.get_data()))
     assert len(marked) == len(missed)
     assert np.mean((marked[:, 1] > 1) & (marked[:, 1] < 1.3)) > 0.4  # the gap
-    tool._corners.value = "0, 0; 0.02, 0; 0, 0.02"
+    tool._corners.value = "0, 0, 0; 0.02, 0, 0; 0, 0.02, 0"
     assert not len(tool._missed.get_data()[0])
 
 
@@ -140,8 +145,8 @@ def test_a_cross_section_shows_the_strip_that_its_slider_moves(rng, screen):
 
 
 def test_only_planes_that_matter_are_listed(rng, screen):
-    wide = rng.uniform(0, 30, (60_000, 3)) * [1, 1, 0]
-    posts = [rng.uniform(0, 1, (150, 3)) * [1, 0, 1] + [3 * k, 31, 1] for k in range(9)]
+    wide = rng.uniform(0, 12, (20_000, 3)) * [1, 1, 0]
+    posts = [rng.uniform(0, 1, (150, 3)) * [1, 0, 1] + [2 * k, 13, 1] for k in range(6)]
     tool = widgets.SurfaceTool({"street": np.concatenate([wide, *posts])}, size=0.5)
     assert len(tool.planes) > 5
     assert [number for _, number in tool._list.options] == [0]
@@ -178,15 +183,19 @@ def test_a_dragged_corner_changes_everything_that_follows(wall, screen):
         ([0, 2, 1, 3], 0, "crosses itself."),
     ],
 )
-def test_a_polygon_that_selects_nothing_is_a_sentence_and_no_histogram(wall, order, rise_m, part):
+def test_a_polygon_that_selects_nothing_is_a_sentence_below_the_last_picture(
+    wall, order, rise_m, part
+):
     tool = widgets.SelectionTool(wall)
     assert all(panel.has_data() for panel in tool._panels)
     tool.select(tool.vertices[order] + [0, 0, rise_m])
     assert tool.quality is None
     assert part in tool.text.value
-    assert not any(panel.has_data() for panel in tool._panels)
+    assert all(panel.has_data() for panel in tool._panels)
+    assert np.allclose(tool._selector.verts, tool.frame.project(tool.vertices))
     tool._cut.value = 0.1  # a strip of nothing
-    assert not tool._panels[2].has_data()
+    tool.undo()
+    assert tool.quality is not None
 
 
 def test_a_picture_is_not_drawn_while_it_changes(wall, screen):
@@ -269,3 +278,103 @@ def test_no_other_plane_has_the_colour_of_the_largest(rng):
     assert len(tool.planes) == len(sizes)
     same = (colours == colours[tool._owner == 0][0]).all(axis=1)
     assert set(tool._owner[same]) == {0}
+
+
+def test_points_that_mislead_the_plane_have_rings_and_are_left_out_by_a_button(rng, screen):
+    x, z = rng.uniform(0, 1, (2, 6000)) * [[4], [1.4]]
+    proud = z < 0.1
+    facade = np.stack([x, 0.003 * rng.standard_normal(6000) + 0.06 * proud, z], axis=1)
+    outline = [[0, 0, 0], [4, 0, 0], [4, 0, 1.4], [0, 0, 1.4]]
+    tool = widgets.SelectionTool(facade, polygon=outline)
+    assert tool._alone.layout.display is None
+    marked = tool._to_space(np.transpose(tool._off.get_data()))
+    assert len(marked) > 100
+    assert (marked[:, 2] < 0.11).all()
+    with_them = tool.quality.sigma_mad_mm
+    tool._alone.click()
+    assert tool.quality.n == pytest.approx((~proud).sum(), abs=3)
+    assert tool.quality.sigma_mad_mm == pytest.approx(3, rel=0.05)
+    assert "within ±" in tool.text.value
+    assert tool._alone.layout.display == "none"
+    tool.undo()
+    assert tool.quality.sigma_mad_mm == with_them
+
+
+def test_of_many_points_those_around_the_middle_come_first(rng, screen, monkeypatch):
+    monkeypatch.setattr(selection, "AT_ONCE", 2000)
+    monkeypatch.setattr(selection, "SETTLED_S", 0.2)
+    points = rng.uniform(0, 2, (9000, 3)) * [1, 1, 0]
+    square = [[0.1, 0.1, 0], [1.9, 0.1, 0], [1.9, 1.9, 0], [0.1, 1.9, 0]]
+    tool = widgets.SelectionTool(points, polygon=square)
+    seen = []
+    tool.follow(lambda tool: seen.append(tool.quality.n))
+    for shift in (0.01, 0.02, 0.03):  # steps in a row: all points once, at their end
+        tool.select(np.add(square, [shift, 0, 0]))
+        assert "Working" in tool.text.value
+        assert tool.quality.n == pytest.approx(2000, rel=0.1)
+    whole = tool.evaluate()
+    assert whole.n > 6000
+    for thread in threading.enumerate():
+        if thread is not threading.current_thread() and thread.daemon:
+            thread.join(30)
+    assert tool.quality.n == whole.n == seen[-1]
+    assert [one > 6000 for one in seen] == [False] * 4 + [True]
+    assert "Working" not in tool.text.value
+
+
+@pytest.fixture
+def room(rng):
+    """A room of 6 m x 4 m x 3 m with colours."""
+    flat = rng.uniform(0, 1, (6, 2500, 3)) * [6, 4, 3]
+    for side, (axis, value) in enumerate(((2, 0), (2, 3), (1, 0), (1, 4), (0, 0), (0, 6))):
+        flat[side, :, axis] = value
+    rgb = {name: np.full(15_000, 200 + k, np.uint16) for k, name in enumerate(("red", "green"))}
+    return Cloud(flat.reshape(-1, 3), rgb | {"blue": np.zeros(15_000)}, resolution=0.002)
+
+
+def test_floor_ceiling_and_walls_are_told_apart(room, screen):
+    tool = widgets.SurfaceTool({"room": room}, size=1)
+    assert sorted(tool.planes["kind"]) == sorted(
+        ["floor", "ceiling", *(f"wall facing {one}" for one in ("north", "south", "east", "west"))]
+    )
+    south = tool.planes.set_index("kind").loc["wall facing north"]
+    assert south["northing_m"] == pytest.approx(0, abs=0.01)
+    assert tool.planes.set_index("kind").loc["ceiling", "up_m"] == pytest.approx(3, abs=0.01)
+    assert tool.quality.step_mm == 2.0  # of the file
+    kinds = tool.planes["kind"][tool._owner[tool._owner >= 0]]
+    assert "ceiling" in set(kinds)
+    tool._top.value = 0.6
+    kinds = tool.planes["kind"][tool._owner[tool._owner >= 0]]
+    assert "ceiling" not in set(kinds)  # now a click finds the floor
+    assert "floor" in set(kinds)
+    tool._true.value = True
+    colours = tool._scene_dots.get_facecolor()[tool._owner != tool.number]
+    np.testing.assert_allclose(colours[:, :3], [[200 / 255, 201 / 255, 0]] * len(colours))
+
+
+def test_a_cloud_or_plane_that_is_not_there_is_refused_and_changes_nothing(clouds, rng, screen):
+    tool = widgets.SurfaceTool({"noise": rng.random((9, 3)), **clouds}, size=2)
+    for place, part in ((("noise",), "cloud 'noise'"), (("wall", 99), "plane of wall 99")):
+        with pytest.raises(ValueError, match=f"Invalid {part}"):
+            tool.choose(*place)
+        assert tool.name == "corner"
+
+
+def test_selections_are_kept_under_names_shown_again_and_compared(room, screen):
+    tool = widgets.SurfaceTool({"room": room}, size=1)
+    numbers = tool.planes.set_index("kind")["plane"]
+    for kind in ("floor", "wall facing north", "wall facing north"):
+        tool.choose("room", int(numbers[kind]))
+        tool.kept.keep()
+    assert list(tool.kept.selections) == ["floor 1", "wall facing north 1", "wall facing north 2"]
+    assert tool.kept.keep("my wall") == "my wall"
+    assert tool.kept.keep("my wall") == "my wall 2"
+    assert len(tool._outlines) == 2 * 5
+    table = tool.kept.table()
+    assert table["selection"].tolist() == list(tool.kept.selections)
+    assert table["n"].tolist() == [one.quality.n for one in tool.kept.selections.values()]
+    tool.kept._list.value = "floor 1"
+    assert tool.number == numbers["floor"]
+    np.testing.assert_allclose(tool.vertices, tool.kept.selections["floor 1"].polygon, atol=1e-9)
+    tool.kept.forget("my wall")
+    assert "my wall" not in tool.kept._list.options

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from html import escape
@@ -10,28 +12,27 @@ from typing import Any
 import ipywidgets
 import numpy as np
 from IPython.display import HTML, Javascript, display
+from IPython.utils.capture import capture_output
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import PlaceHolderLayoutEngine
 from matplotlib.widgets import PolygonSelector
 from numpy.typing import ArrayLike
-from scipy import ndimage
 
 from mmqa_lab import plots
 from mmqa_lab._checks import check_points, check_polygon
-from mmqa_lab.chart_cloud import evaluate_cloud, inside_polygon
-from mmqa_lab.planes import fit_plane
-from mmqa_lab.spacing import quadrant_distances
+from mmqa_lab.chart_cloud import CloudQuality, evaluate_cloud, inside_polygon
+from mmqa_lab.chart_cloud.parts import part_off
+from mmqa_lab.cloud import Cloud
+from mmqa_lab.planes import CONSISTENT_SCALE, fit_plane
 from mmqa_lab.views import is_headless
 from mmqa_lab.widgets.explorers import slider
+from mmqa_lab.widgets.polygons import SHOWN, corners_of, largest_rectangle
 from mmqa_lab.widgets.screen import SPOKEN, WIDE, canvas_of, forget_zoom, in_turn, labelled
 
-__all__ = ["MISSED", "SHOWN", "SelectionTool", "largest_rectangle"]
+__all__ = ["MISSED", "SelectionTool"]
 
 # Margins of the tool's figure, as shares of it, and between its panels, as shares of a panel.
 MARGINS = {"left": 0.08, "right": 0.98, "bottom": 0.09, "top": 0.9, "wspace": 0.25, "hspace": 1}
-
-# Most points drawn. All are used.
-SHOWN = 10_000
 
 # A cross-section shows this share of the selected points, on either side of its middle.
 SECTION = 0.05
@@ -42,6 +43,10 @@ WINDOW, LEAST_WINDOW = 2.5, 0.05
 
 # Colour of places that would not show a detail.
 MISSED = "#F7C9A8"
+
+# Most points evaluated before anything is shown. Of more, those around the middle of the polygon
+# come first, and all of them when the polygon has not changed for so many seconds.
+AT_ONCE, SETTLED_S = 40_000, 0.6
 
 
 class SelectionTool:
@@ -93,10 +98,11 @@ class SelectionTool:
         **choices: Any,
     ):
         self.choices, self.quality, self._followers = choices, None, []
-        self._detail, self._written = detail, ""
+        self._thickness = choices.get("thickness", 0.1)
+        self._detail, self._written, self._turn = detail, "", 0
         self.text = ipywidgets.HTML()
         self.figure = Figure(
-            figsize=(8.4, 5.6), dpi=100, layout=PlaceHolderLayoutEngine(True, True)
+            figsize=(7.2, 5.4), dpi=100, layout=PlaceHolderLayoutEngine(True, True)
         )
         ratios = {"width_ratios": (1.8, 1), "height_ratios": (1, 1, 0.7)}
         axes = self.figure.subplot_mosaic("ab;ac;dd", **ratios, gridspec_kw=MARGINS)
@@ -107,15 +113,18 @@ class SelectionTool:
         self.figure.colorbar(self._dots, ax=self._map, label="distance from plane (mm)", pad=0.03)
         look = {"ms": 4, "mew": 0, "color": MISSED, "zorder": 0.5}  # below the points
         (self._missed,) = self._map.plot([], [], ".", **look)
+        look = {"ms": 3, "mew": 0.4, "mfc": "none", "mec": plots.COLOURS["black"], "zorder": 3}
+        (self._off,) = self._map.plot([], [], "o", **look)
         self.canvas = canvas_of(self.figure)
-        self._corners = ipywidgets.Text(
-            continuous_update=False, **labelled("corners: x, y; ... (m)")
-        )
+        look = labelled("corners: easting, northing, height (m)")
+        self._corners = ipywidgets.Textarea(continuous_update=False, rows=5, **look)
+        self._alone = ipywidgets.Button(description="Leave out the points with rings", layout=WIDE)
         self._undo = ipywidgets.Button(description="Undo: the polygon before", layout=WIDE)
         self._cut = slider("cross-section at", 0.5, 0.0, 1.0, 0.05)
         self._place = slider("window at", 0.5, 0.0, 1.0, 0.05)
         self._corners.observe(lambda change: self._type(change["new"]), names="value")
         self._undo.on_click(lambda _: self.undo())
+        self._alone.on_click(lambda _: self.leave_out())
         self._cut.observe(lambda _: self.quality and self._draw_section(), names="value")
         self._place.observe(lambda change: self._slide(change["new"]), names="value")
         look = {"color": plots.COLOURS["green"], "linewidth": 2}
@@ -124,7 +133,7 @@ class SelectionTool:
 
     def show(self, points: ArrayLike, polygon: ArrayLike | None = None) -> None:
         """Show other points, shape (n, 3), m, and a polygon, shape (m, 3), m."""
-        self.points = check_points(points, minimum=3)
+        self.points, self._step = check_points(points, minimum=3), getattr(points, "resolution", 0)
         self._drawn = self.points[:: 1 + len(self.points) // SHOWN]
         plane = fit_plane(self._drawn, robust=True)
         if abs(plane.normal[2]) < np.cos(np.radians(45)):
@@ -132,6 +141,7 @@ class SelectionTool:
         self.frame = plane
         self._dots.set_offsets(plane.project(self._drawn))
         self._xy, self._past = plane.project(self.points), []
+        self.choices["thickness"] = self._thickness
         extent = np.ptp(self._xy, axis=0)
         self._along, length = extent.argmax(), extent.max()
         window = min(length, max(WINDOW * extent.min(), LEAST_WINDOW * length))
@@ -153,12 +163,24 @@ class SelectionTool:
         """Return to the polygon before the last change on this plane."""
         if len(self._past) > 1:
             self._past.pop()
-            self.select(self._past.pop())
+            polygon, self.choices["thickness"] = self._past.pop()
+            self.select(polygon)
+
+    @in_turn()
+    def leave_out(self) -> None:
+        """Leave out the points with rings, which mislead the plane: a thinner selection."""
+        apart = np.abs(self.frame.distances(self.points[self._mask][self._apart]))
+        if len(apart):
+            self.choices["thickness"] = round(0.9 * float(np.quantile(apart, 0.02)), 4)
+            self._moved(self._selector.verts)
 
     def selected(self) -> np.ndarray:
         """Return the mask of the selected points, shape (n,)."""
-        thickness = self.choices.get("thickness", 0.1)
-        return inside_polygon(self.points, self.vertices, thickness=thickness)
+        thickness, corners = self.choices["thickness"], self.frame.project(self.vertices)
+        low, high = corners.min(axis=0) - thickness, corners.max(axis=0) + thickness
+        mask = np.all((self._xy >= low) & (self._xy <= high), axis=1)  # the others are surely out
+        mask[mask] = inside_polygon(self.points[mask], self.vertices, thickness=thickness)
+        return mask
 
     @in_turn()
     def _type(self, text):
@@ -166,10 +188,9 @@ class SelectionTool:
         if text == self._written:
             return
         try:
-            pairs = [pair.split(",") for pair in text.strip("; ").split(";")]
-            self.select(self._to_space(np.array(pairs, dtype=float)))
+            self.select(corners_of(text))
         except ValueError:
-            wanted = "Must be x, y; x, y; x, y; ... in metres, at least three."
+            wanted = "Must be lines of easting, northing, height in metres, at least three."
             self.text.value = f"<b>Invalid corners {escape(text)}. {wanted}</b>"
 
     @in_turn()
@@ -207,13 +228,23 @@ class SelectionTool:
 
         @in_turn()
         def again(_=None):
-            """Replace the output shown."""
-            with output:
-                output.clear_output(wait=True)
+            """Replace the output shown; also from the thread that evaluates all points."""
+            with capture_output() as said:
                 display(HTML(self.text.value)) if self.quality is None else function(self)
+            shown = [
+                {"output_type": "display_data", "data": one.data, "metadata": one.metadata}
+                for one in said.outputs
+            ]
+            printed = {"output_type": "stream", "name": "stdout", "text": said.stdout}
+            output.outputs = ((printed,) if said.stdout else ()) + tuple(shown)
 
         again()
-        self._followers.append(output.clear_output if button else again)
+
+        def cleared():
+            """Show nothing."""
+            output.outputs = ()
+
+        self._followers.append(cleared if button else again)
         pressed = ipywidgets.Button(description=button, layout=WIDE)
         pressed.on_click(again)
         display(ipywidgets.VBox([pressed, output]) if button else output)
@@ -225,7 +256,7 @@ class SelectionTool:
             display(*self._pictures(), HTML(self.text.value))
         else:
             display(Javascript(filename=SPOKEN))
-            controls = [self._corners, self._undo, self._cut, self._place]
+            controls = [self._undo, self._alone, self._cut, self._place, self._corners]
             display(ipywidgets.VBox([*self._pictures(), self.text, *controls]))
 
     def _pictures(self):
@@ -234,9 +265,11 @@ class SelectionTool:
 
     def _summary(self):
         """The main figures in one line."""
-        density, sigma = self.quality.density_polygon_per_m2, self.quality.sigma_mad_mm
-        figures = f"{density:.0f} points/m², sigma_MAD {sigma:.2f} mm, f {self.quality.f:.2f}"
-        return f"{self.quality.n} points, {figures}{self._details()}"
+        found, thin = self.quality, self.choices["thickness"]
+        within = "" if thin == self._thickness else f" within ±{1000 * thin:.0f} mm of the plane"
+        density = f"{found.density_polygon_per_m2:.0f} points/m²"
+        noise = f"sigma_MAD {found.sigma_mad_mm:.2f} mm, e95 {found.e95_mm:.1f} mm"
+        return f"{found.n} points{within}, {density}, {noise}{self._details()}"
 
     def _details(self):
         """Mark the places that would not show a detail; what is said of them."""
@@ -252,7 +285,7 @@ class SelectionTool:
     @in_turn()
     def _draw_section(self):
         """Mark a strip along the selection, and draw the profile of its points."""
-        inside, share = self.selected(), self._cut.value
+        inside, share = self._mask, self._cut.value
         x, y = self._xy[inside].T
         ends = np.quantile(y, np.clip([share - SECTION, share + SECTION], 0, 1))
         self._strip.set(y=ends[0], height=np.ptp(ends))
@@ -270,65 +303,78 @@ class SelectionTool:
     @in_turn()
     def _moved(self, vertices):
         """Evaluate and draw the selection again after a change of the polygon."""
-        self.vertices = self._to_space(vertices)
-        if not self._past or not np.array_equal(self._past[-1], self.vertices):
-            self._past.append(self.vertices)
-        self._written = "; ".join(f"{x:.3f}, {y:.3f}" for x, y in vertices)
+        self.vertices, self._turn = self._to_space(vertices), self._turn + 1
+        before = self._past[-1] if self._past else (None, None)
+        if before[1] != self.choices["thickness"] or not np.array_equal(before[0], self.vertices):
+            self._past.append((self.vertices, self.choices["thickness"]))
+        self._written = ";\n".join(", ".join(f"{x:.3f}" for x in one) for one in self.vertices)
         self._corners.value = self._written
-        self._missed.set_data([], [])
+        try:
+            self._mask = self.selected()
+            some = is_headless() or self._mask.sum() <= AT_ONCE
+            self._take(self.evaluate() if some else self._middle(), whole=some)
+        except ValueError as error:  # the picture stays
+            self.quality, self.text.value = None, f"<b>{error}</b>"
+            for marks in (self._missed, self._off):
+                marks.set_data([], [])
+            self._tell()
+            return
+        if not some:
+            threading.Thread(target=self._settle, args=(self._turn,), daemon=True).start()
+
+    def evaluate(self) -> CloudQuality:
+        """Return the quality of all selected points, also while the picture shows a part."""
+        mask = self.selected()
+        mask |= mask.sum() < 3  # whose sentence tells where the cloud is
+        inside = Cloud(self.points[mask], resolution=self._step or np.nan)
+        return evaluate_cloud(inside, polygon=self.vertices, **self.choices)
+
+    def _middle(self):
+        """The quality of the points around the middle of the polygon."""
+        centre = self.vertices.mean(axis=0)
+        small = centre + (AT_ONCE / self._mask.sum()) ** 0.5 * (self.vertices - centre)
+        points = Cloud(self.points[self._mask], resolution=self._step or np.nan)
+        return evaluate_cloud(points, polygon=small, **self.choices)
+
+    def _settle(self, turn):
+        """Show all points when the polygon has rested, unless it changes meanwhile."""
+        time.sleep(SETTLED_S)
+        if turn != self._turn:
+            return
+        quality = self.evaluate()
+        with in_turn():
+            if turn == self._turn:
+                self._take(quality)
+
+    def _take(self, quality, whole=True):
+        """Show the quality of all points of the selection, or of those around its middle."""
+        self.quality = quality
         for panel in self._panels:
             panel.clear()
-        try:
-            self.quality = evaluate_cloud(self.points, polygon=self.vertices, **self.choices)
-            self.text.value = f"<b>{'<br>'.join([self._summary(), *self.quality.remarks])}</b>"
-            self.quality.draw_histograms(*self._panels[:2])
-            off_mm = 1000 * self.quality.plane.distances(self._drawn)
-            self._dots.set(array=off_mm, clim=np.multiply([-3, 3], self.quality.sigma_mad_mm))
-            self._draw_section()
-        except ValueError as error:
-            self.quality, self.text.value = None, f"<b>{error}</b>"
+        lines = [self._summary(), *quality.remarks]
+        if not whole:
+            lines.insert(0, "Working: these are the points around the middle, all points follow.")
+        self.text.value = f"<b>{'<br>'.join(lines)}</b>"
+        quality.draw_histograms(*self._panels[:2])
+        off_mm = 1000 * quality.plane.distances(self._drawn)
+        self._dots.set(array=off_mm, clim=np.multiply([-3, 3], quality.sigma_mad_mm))
+        self._draw_section()
+        self._mark_apart()
+        self._tell()
+
+    def _mark_apart(self):
+        """Put rings around the points that mislead the plane, and offer to leave them out."""
+        inside = self.points[self._mask]
+        misled = any("turn the plane" in one for one in self.quality.remarks)
+        self._apart = (
+            part_off(inside, CONSISTENT_SCALE)[0] if misled else np.zeros(len(inside), bool)
+        )
+        rings = self.frame.project(inside[self._apart])
+        self._off.set_data(rings[:: 1 + len(rings) // 500].T)
+        self._alone.layout.display = None if misled else "none"
+
+    def _tell(self):
+        """Draw, and call those who follow."""
         self.figure.canvas.draw_idle()
         for again in self._followers:
             again()
-
-
-def largest_rectangle(xy: ArrayLike) -> np.ndarray:
-    """Return the largest rectangle along the axes without gaps between points.
-
-    Parameters
-    ----------
-    xy : array_like, shape (n, 2)
-        Coordinates, m.
-
-    Returns
-    -------
-    array, shape (4, 2)
-        Its corners, m, in steps of a sixtieth of the longer extent or three times the spacing.
-
-    Examples
-    --------
-    >>> x, y = np.meshgrid(np.arange(0, 4, 0.05), np.arange(0, 4, 0.05))
-    >>> band = np.column_stack([x.ravel(), y.ravel()])[(abs(x - y) < 1).ravel()]
-    >>> corners = largest_rectangle(band)
-    >>> bool((np.abs(corners @ [1, -1]) < 1.25).all())
-    True
-    """
-    xy = np.asarray(xy, dtype=np.float64)
-    extent = np.ptp(xy, axis=0)
-    some = np.arange(len(xy)) % (1 + len(xy) // SHOWN) == 0
-    away = quadrant_distances(xy, radius=extent.max() / 4, of=some)[:, -1]
-    away = away[~np.isnan(away)]
-    edge = max(extent.max() / 60, 3 * np.median(away)) if len(away) else extent.max() / 10
-    cells = np.maximum(1, (extent / edge).astype(int))
-    counts, x, y = np.histogram2d(xy[:, 0], xy[:, 1], bins=cells)
-    filled = ndimage.binary_closing(np.pad(counts > 0, 1))[1:-1, 1:-1] | (counts > 0)
-    best, heights = (0, 0, 0, 0, 0), np.zeros(filled.shape[1], dtype=int)
-    for end, row in enumerate(filled, 1):
-        heights = (heights + 1) * row
-        for first in range(len(row)):
-            lowest = np.minimum.accumulate(heights[first:])
-            areas = lowest * np.arange(1, len(lowest) + 1)
-            k = np.argmax(areas)
-            best = max(best, (areas[k], end - lowest[k], first, end, first + k + 1))
-    _, x0, y0, x1, y1 = best
-    return np.array([(x[x0], y[y0]), (x[x1], y[y0]), (x[x1], y[y1]), (x[x0], y[y1])])

@@ -13,15 +13,20 @@ import pandas as pd
 import shapely
 from matplotlib.colors import to_rgba_array
 from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
 
 from mmqa_lab import plots
-from mmqa_lab._checks import check_choice, check_points
+from mmqa_lab._checks import check_choice, check_points, refuse
+from mmqa_lab.chart_cloud import inside_polygon
+from mmqa_lab.cloud import Cloud
 from mmqa_lab.plane_search import detect_planes
 from mmqa_lab.views import is_headless
+from mmqa_lab.widgets.kept import Kept
+from mmqa_lab.widgets.polygons import SHOWN
 from mmqa_lab.widgets.screen import Halt, canvas_of, forget_zoom, in_turn
-from mmqa_lab.widgets.selection import SHOWN, SelectionTool
+from mmqa_lab.widgets.selection import SelectionTool
 
-__all__ = ["SurfaceTool"]
+__all__ = ["SurfaceTool", "kind_of", "true_colours"]
 
 # Most planes listed, those with the most points first: of at least this share of the points of the
 # largest. All can be chosen.
@@ -34,6 +39,13 @@ NEAR_PX = 10
 TINTS = ("#56B4E9", "#009E73", "#E69F00", "#CC79A7", "#F0E442", "#999999")
 
 AXES = ("easting", "northing", "height")
+
+# Cosine of the slope of a floor, 25 degrees; its difference from 1 is that of a wall, 84 degrees.
+LEVEL_COSINE = 0.9
+
+POINTS_OF_COMPASS = (
+    "north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west",
+)  # fmt: skip
 
 
 def _planes_of(points, tolerance, size):
@@ -68,7 +80,10 @@ class SurfaceTool(SelectionTool):
         The chosen plane.
     planes : DataFrame
         ``cloud``, ``plane``, ``points``, ``area_m2``, ``slope_deg``, ``std_mm``, ``easting_m``,
-        ``northing_m``, ``height_m`` of all planes.
+        ``northing_m``, ``height_m`` of all planes; ``kind``: floor, ceiling, slope, or where a wall
+        faces, towards the middle of the cloud; ``up_m`` above the lowest point of the cloud.
+    kept : Kept
+        Selections that are kept under names.
     missing : list of str
         A sentence for each cloud without planes; it is left out of the list.
 
@@ -89,6 +104,7 @@ class SurfaceTool(SelectionTool):
         self, clouds: Mapping, *, tolerance: float = 0.1, size: float = 0.5, **choices: Any
     ):
         self._points = {name: check_points(cloud) for name, cloud in clouds.items()}
+        self._given = dict(clouds)
         self._patches, self.missing, rows = {}, [], []
         for name, points in self._points.items():
             patches = self._patches[name] = _planes_of(points, tolerance, size)
@@ -101,15 +117,23 @@ class SurfaceTool(SelectionTool):
             named = ", ".join(self._points)
             raise Halt(f"Invalid cloud {named}: no plane of {size:g} m or more. Must have one.")
         self.planes = pd.DataFrame(rows)
-        self._scene = Figure(figsize=(5.6, 4.4), dpi=100, layout="constrained")
+        self._scene = Figure(figsize=(4.8, 4.2), dpi=100, layout="constrained")
         self._scene.get_layout_engine().set(rect=(0, 0, 0.93, 1))  # buttons are to the right
         self._scene_canvas = canvas_of(self._scene)
         self._scene.canvas.mpl_connect("button_press_event", self._clicked)
-        look = {"layout": {"width": "30em"}, "style": {"description_width": "4em"}}
+        look = {"layout": {"width": "24em"}, "style": {"description_width": "4em"}}
         self._clouds = ipywidgets.Dropdown(options=listed, description="cloud", **look)
         self._clouds.observe(lambda change: self.choose(change["new"]), names="value")
         self._list = ipywidgets.Select(description="plane", rows=LISTED, **look)
         self._list.observe(lambda change: self._listed(change["new"]), names="value")
+        self._top = ipywidgets.FloatSlider(
+            1.0, min=0.05, max=1.0, step=0.05, description="cut at", readout_format=".0%",
+            continuous_update=False, **look,
+        )  # fmt: skip
+        self._true = ipywidgets.Checkbox(False, description="true colours", **look)
+        for control in (self._top, self._true):
+            control.observe(lambda _: self._again(), names="value")
+        self.kept = Kept(self)
         self.name, first = None, listed[0]
         self._enter(first, 0)
         super().__init__(self.surface(first), **choices)
@@ -117,13 +141,32 @@ class SurfaceTool(SelectionTool):
     @in_turn()
     def choose(self, cloud: str, plane: int = 0) -> None:
         """Choose a plane by the name of its cloud and its number in ``planes``."""
-        check_choice(cloud, "cloud", tuple(self._points))
+        check_choice(cloud, "cloud", tuple(self._clouds.options))
+        check_choice(plane, f"plane of {cloud}", range(len(self._patches[cloud])))
         self._enter(cloud, plane)
         self.show(self.surface(cloud, plane))
 
-    def surface(self, cloud: str, plane: int = 0) -> np.ndarray:
-        """Return the points of a plane, shape (n, 3), m."""
-        return self._points[cloud][self._patches[cloud][plane].index]
+    def surface(self, cloud: str, plane: int = 0) -> Cloud:
+        """Return the points of a plane."""
+        points = self._points[cloud][self._patches[cloud][plane].index]
+        return Cloud(points, resolution=getattr(self._given[cloud], "resolution", np.nan))
+
+    def crs_of(self, cloud: str) -> Any:
+        """Return the coordinate system of a cloud, or None."""
+        return getattr(self._given[cloud], "crs", None)
+
+    def plane_at(self, polygon: ArrayLike) -> int:
+        """Return the number of the plane of the chosen cloud that most points at a polygon have."""
+        owners = self._owners[inside_polygon(self._points[self.name], polygon)]
+        counts = np.bincount(owners[owners >= 0])
+        refuse(not len(counts), "polygon", "no plane of the cloud there", "on a plane")
+        return int(counts.argmax())
+
+    @property
+    def row(self) -> int:
+        """The row of the chosen plane in ``planes``."""
+        one = (self.planes["cloud"] == self.name) & (self.planes["plane"] == self.number)
+        return int(np.flatnonzero(one)[0])
 
     def _enter(self, cloud, plane):
         """Mark a plane in the picture; draw picture and list again if the cloud has changed."""
@@ -135,7 +178,10 @@ class SurfaceTool(SelectionTool):
         place = 1 + (self._owner - 1) % (len(TINTS) - 1)  # the first tint is the largest plane's
         place[self._owner == 0], place[self._owner < 0] = 0, -2
         place[self._owner == plane] = -1
-        self._scene_dots.set_facecolor(palette[place])
+        colours = palette[place]
+        if self._true.value and self._rgb is not None:
+            colours = np.where((place == -1)[:, None], palette[-1], self._rgb)
+        self._scene_dots.set_facecolor(colours)
         shown = [number for _, number in self._list.options]
         self._list.value = plane if plane in shown else None
         self._scene.axes[0].set_title(f"{self.name}, plane {plane}")
@@ -147,9 +193,15 @@ class SurfaceTool(SelectionTool):
         owner = np.full(len(points), -1)
         for number, patch in enumerate(patches):
             owner[patch.index] = number
-        step = 1 + len(points) // SHOWN
-        self._owner, shown = owner[::step], points[::step]
-        across, up = sorted(np.argsort(np.ptp(points, axis=0))[1:])
+        across, up = self._across = sorted(np.argsort(np.ptp(points, axis=0))[1:])
+        low, high = points[:, 2].min(), points[:, 2].max()
+        below = np.flatnonzero(points[:, 2] <= low + self._top.value * (high - low) + 1e-9)
+        drawn = below[:: 1 + len(below) // SHOWN]
+        drawn = drawn[np.argsort(points[drawn, 2], kind="stable")]  # what is higher covers
+        self._owners, self._owner, shown = owner, owner[drawn], points[drawn]
+        rgb = true_colours(self._given[self.name])
+        self._rgb = None if rgb is None else to_rgba_array(rgb[drawn])
+        self._true.layout.display = "none" if rgb is None else None
         self._scene.clear()
         ax = self._scene.add_subplot(aspect="equal")
         self._scene_dots = ax.scatter(*shown[:, [across, up]].T, s=3, lw=0)
@@ -159,9 +211,31 @@ class SurfaceTool(SelectionTool):
         forget_zoom(self._scene)
         rows = self.planes[self.planes["cloud"] == self.name].head(LISTED)
         rows = rows[rows["points"] >= LISTED_SHARE * rows["points"].max()].to_dict("records")
-        text = "{plane}: {area_m2:.1f} m², height {height_m:.1f} m, slope {slope_deg:.0f}°"
+        text = "{plane}: {kind}, {area_m2:.1f} m², {up_m:.1f} m up, slope {slope_deg:.0f}°"
         self.number = 0
         self._list.options = [(text.format(**row), row["plane"]) for row in rows]
+        self._outlines = []
+        self.draw_kept()
+
+    @in_turn()
+    def _again(self):
+        """Draw the picture again."""
+        number = self.number
+        self._draw_scene()
+        self._enter(self.name, number)
+
+    @in_turn()
+    def draw_kept(self) -> None:
+        """Draw the outlines of the kept selections of the chosen cloud."""
+        for artist in self._outlines:
+            artist.remove()
+        self._outlines, ax = [], self._scene.axes[0]
+        for name, one in self.kept.selections.items():
+            if one.cloud == self.name:
+                ring = one.polygon[[*range(len(one.polygon)), 0]][:, self._across]
+                self._outlines += ax.plot(*ring.T, color="k", lw=1.2)
+                self._outlines.append(ax.annotate(name, ring[0], fontsize=7))
+        self._scene.canvas.draw_idle()
 
     def _listed(self, plane):
         """Choose a plane of the list."""
@@ -179,17 +253,49 @@ class SurfaceTool(SelectionTool):
 
     def _pictures(self):
         """The picture and the list above the polygon."""
-        side = [] if is_headless() else [ipywidgets.VBox([self._clouds, self._list])]
-        return [ipywidgets.HBox([self._scene_canvas, *side]) if side else self._scene, self.canvas]
+        if is_headless():
+            return [self._scene, self.canvas]
+        side = ipywidgets.VBox([self._clouds, self._list, self._top, self._true])
+        top = ipywidgets.HBox([self._scene_canvas, side], layout={"flex_flow": "row wrap"})
+        return [top, self.canvas, self.kept.box]
 
 
 def _described(patch, points):
     """The figures of a plane in the list and in the table."""
+    towards = np.median(points[:: 1 + len(points) // SHOWN], axis=0) - patch.plane.centre
+    normal = patch.plane.normal * (-1 if patch.plane.normal @ towards < 0 else 1)
     hull = shapely.convex_hull(shapely.multipoints(patch.plane.project(points[patch.index])))
     return {
+        "kind": kind_of(normal),
         "points": len(patch),
         "area_m2": hull.area,
         "slope_deg": np.degrees(np.arccos(min(1.0, abs(patch.plane.normal[2])))),
         "std_mm": 1000 * patch.sigma,
         **{f"{AXES[k]}_m": patch.plane.centre[k] for k in range(3)},
+        "up_m": patch.plane.centre[2] - points[:, 2].min(),
     }
+
+
+def kind_of(normal: np.ndarray) -> str:
+    """Return what a plane is whose normal points into the cloud: floor, ceiling, slope or wall.
+
+    Examples
+    --------
+    >>> kind_of(np.array([0, -0.1, 0.99])), kind_of(np.array([-0.7, 0.7, 0.1]))
+    ('floor', 'wall facing north-west')
+    """
+    if abs(normal[2]) > LEVEL_COSINE:
+        return "floor" if normal[2] > 0 else "ceiling"
+    turn = np.degrees(np.arctan2(normal[0], normal[1]))
+    facing = POINTS_OF_COMPASS[round(turn / 45) % 8]
+    return (
+        f"wall facing {facing}" if abs(normal[2]) < 1 - LEVEL_COSINE else f"slope facing {facing}"
+    )
+
+
+def true_colours(cloud: Any) -> np.ndarray | None:
+    """Return the colours of a cloud, shape (n, 3), 0 to 1; None of one without."""
+    if not all(name in getattr(cloud, "columns", ()) for name in ("red", "green", "blue")):
+        return None
+    rgb = np.stack([cloud[name] for name in ("red", "green", "blue")], axis=1).astype(float)
+    return rgb / (65_535 if rgb.max() > 255 else 255 if rgb.max() > 1 else 1)
