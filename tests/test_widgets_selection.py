@@ -301,7 +301,7 @@ def test_points_that_mislead_the_plane_have_rings_and_are_left_out_by_a_button(r
 
 
 def test_of_many_points_those_around_the_middle_come_first(rng, screen, monkeypatch):
-    monkeypatch.setattr(selection, "AT_ONCE", 2000)
+    monkeypatch.setattr(selection, "SHOWN_FIRST", 2000)
     monkeypatch.setattr(selection, "SETTLED_S", 0.2)
     points = rng.uniform(0, 2, (9000, 3)) * [1, 1, 0]
     square = [[0.1, 0.1, 0], [1.9, 0.1, 0], [1.9, 1.9, 0], [0.1, 1.9, 0]]

@@ -46,7 +46,7 @@ MISSED = "#F7C9A8"
 
 # Most points evaluated before anything is shown. Of more, those around the middle of the polygon
 # come first, and all of them when the polygon has not changed for so many seconds.
-AT_ONCE, SETTLED_S = 40_000, 0.6
+SHOWN_FIRST, SETTLED_S = 40_000, 0.6
 
 
 class SelectionTool:
@@ -311,7 +311,7 @@ class SelectionTool:
         self._corners.value = self._written
         try:
             self._mask = self.selected()
-            some = is_headless() or self._mask.sum() <= AT_ONCE
+            some = is_headless() or self._mask.sum() <= SHOWN_FIRST
             self._take(self.evaluate() if some else self._middle(), whole=some)
         except ValueError as error:  # the picture stays
             self.quality, self.text.value = None, f"<b>{error}</b>"
@@ -332,7 +332,7 @@ class SelectionTool:
     def _middle(self):
         """The quality of the points around the middle of the polygon."""
         centre = self.vertices.mean(axis=0)
-        small = centre + (AT_ONCE / self._mask.sum()) ** 0.5 * (self.vertices - centre)
+        small = centre + (SHOWN_FIRST / self._mask.sum()) ** 0.5 * (self.vertices - centre)
         points = Cloud(self.points[self._mask], resolution=self._step or np.nan)
         return evaluate_cloud(points, polygon=small, **self.choices)
 
