@@ -272,7 +272,7 @@ FAULTS = (
     ("widgets", "return [str(self)]", "return []", "test_studies.py"),
     ("widgets", "self._past.pop()\n", "pass\n", "test_widgets_selection.py"),
     ("widgets", "max(self._reach, np.ptp(along) / 2)", "self._reach", "test_widgets_selection.py"),
-    ("widgets", "            marks.set_data([], [])", "            pass", "test_widgets_selection.py"),
+    ("widgets", "marks.set_data([], [])", "pass", "test_widgets_selection.py"),
     ("run", '{"lesson", "results"}', '{"lesson"}', "test_students.py"),
     ("run", "finish_figure(plt.figure(number))", "pass", "test_run.py"),
     ("run", 'remove_input_tags={"results"}', "remove_input_tags=set()", "test_run.py"),
