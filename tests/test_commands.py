@@ -340,8 +340,9 @@ def asked(study, folder, *, quick):
     return study.stem
 
 
-def test_the_longest_study_begins_first(tmp_path):
-    studies = chosen(["mimic", "poles"])
-    ran = list(commands.laboratory._run_studies(asked, studies, tmp_path, True, 1))
-    assert [record for _, record in ran] == ["poles", "mimic"]
-    assert [study.stem for study, _ in ran] == ["poles", "mimic"]
+def test_the_longest_study_begins_first_and_the_shortest_is_next(tmp_path):
+    studies = chosen(["mimic", "poles", "fitness"])
+    known = {"mimic": 20.0, "fitness": 5.0, "poles": 90.0}
+    ran = list(commands.laboratory._run_studies(asked, studies, tmp_path, True, 1, known))
+    assert [record for _, record in ran] == ["poles", "fitness", "mimic"]
+    assert [study.stem for study, _ in ran] == ["poles", "fitness", "mimic"]

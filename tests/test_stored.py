@@ -12,6 +12,7 @@ from PIL import Image
 from mmqa_lab.io import write_atomically
 from mmqa_lab.run import write_record
 from mmqa_lab.run.notebooks import code_hash, store
+from mmqa_lab.run.speed import machine_speed, stored_seconds
 from mmqa_lab.studies import STUDIES, TOOLS, notebooks_folder
 
 LARGEST_BYTES = 1_000_000
@@ -66,7 +67,8 @@ def test_what_is_stored_is_small_and_needs_no_kernel(tmp_path):
     write_atomically(results / "ran.ipynb", nbformat.writes(nbformat.v4.new_notebook(cells=cells)))
     (results / "key.png").write_bytes(content)
     answer = {"sentence": "Yes, by 3 mm.", "short": "Yes.", "figure": "other", "thumbnail": "key"}
-    write_record(results, {"quick": False, "failure": "", "answer": answer})
+    ran = {"quick": False, "failure": "", "seconds": 2.5, "answer": answer}
+    write_record(results, ran)
     store(tmp_path, results.parent, [study])
     stored = nbformat.read(study.path, as_version=4)
     (shown,) = stored.cells[0].outputs
@@ -78,6 +80,7 @@ def test_what_is_stored_is_small_and_needs_no_kernel(tmp_path):
         tmp_path / "answers.csv"
     ).read_text() == 'study,short,answer\nran,Yes.,"Yes, by 3 mm."\n'
     assert (tmp_path / "thumbnails" / "99_ran.png").is_file()
+    assert stored_seconds(tmp_path) == {"ran": 2.5}
     write_atomically(study.path, study.path.read_text().replace("draw()", "draw(2)"))
     with pytest.raises(ValueError, match="the notebook changed"):
         store(tmp_path, results.parent, [study])
@@ -94,3 +97,9 @@ def test_no_answer_has_a_number_that_was_not_measured():
         assert not answers.loc[
             answers["short"].str.split().str.len() > MOST_WORDS, "study"
         ].tolist()
+
+
+def test_a_machine_of_half_the_speed_takes_twice_as_long(monkeypatch):
+    times = iter([10.0, 11.0, 20.0, 22.0])
+    monkeypatch.setattr("time.process_time", lambda: next(times))
+    assert 2 * machine_speed() == machine_speed() > 0

@@ -14,9 +14,6 @@ from mmqa_lab.commands.machine import FIGURE_ENDINGS, app, progress, table, writ
 
 __all__ = ["bench", "lab", "paper", "student", "studies", "test"]
 
-LONGEST = "poles"
-"""The study that takes longest. It begins first, so that no worker waits for it at the end."""
-
 
 @table
 def bench(
@@ -158,7 +155,7 @@ def studies(
         ledger, the glossary and the public names.
     """
     from mmqa_lab.io import own_folder
-    from mmqa_lab.run import notebooks, pages, verdict
+    from mmqa_lab.run import notebooks, pages, speed, verdict
     from mmqa_lab.studies import STUDIES, TOOLS, chosen, notebooks_folder, results_folder
 
     if site is not None:
@@ -172,7 +169,14 @@ def studies(
     ours = usual.parent == notebooks_folder() and out is None  # a repository's own
     with own_folder(folder, ours=ours):
         print(f"Results, as they arrive: {folder / 'index.html'}", flush=True)
-        for study, record in _run_studies(notebooks.run_study, wanted, folder, quick, workers):
+        workers = min(workers or _fitting_workers(), len(wanted))
+        known = {} if quick else speed.stored_seconds(notebooks_folder())
+        if left := sum(known.get(study.stem, 0) for study in wanted):
+            slower = speed.machine_speed()
+            estimate = f"About {left * slower / workers / 60:.0f} minutes: this machine takes "
+            print(f"{estimate}{slower:.1f} times as long as that of the stored runs.", flush=True)
+        runs = _run_studies(notebooks.run_study, wanted, folder, quick, workers, known)
+        for study, record in runs:
             untrue = not quick and any(not check["passed"] for check in record["checks"])
             failed = failed or bool(record["failure"]) or untrue
             print(f"{study.notebook:<24} {record['seconds']:6.1f} s  {verdict(record)}", flush=True)
@@ -200,25 +204,26 @@ def _apart():
     end_with_parent()
 
 
-def _run_studies(run_study, studies, folder, quick, workers):
+def _run_studies(run_study, studies, folder, quick, workers, known):
     """Run each study in a process of its own; yield it with its record when it ends."""
     import signal
     from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
     from multiprocessing import active_children, get_context
 
-    workers = min(workers or _fitting_workers(), len(studies))
     os.environ.setdefault("NUMBA_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // workers)))
     pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_apart)
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends the workers, too
     try:
-        first = sorted(studies, key=lambda study: study.stem != LONGEST)
+        first = sorted(studies, key=lambda study: -known.get(study.stem, 0))
+        first.insert(1, first.pop())  # the longest and the shortest: there is a result soon
         tasks = {pool.submit(run_study, study, folder, quick=quick): study for study in first}
-        bar, waiting = progress(range(len(tasks)), "study"), set(tasks)
+        shares = {task: round(known.get(study.stem, 1)) for task, study in tasks.items()}
+        bar, waiting = progress(range(sum(shares.values())), "s"), set(tasks)
         while waiting:
             names = [tasks[task].notebook for task in tasks if task.running()]
             bar.set_postfix_str(", ".join(names[:workers]))
             done, waiting = wait(waiting, timeout=1, return_when=FIRST_COMPLETED)
-            bar.update(len(done))
+            bar.update(sum(shares[task] for task in done))
             for task in sorted(done, key=[*tasks].index):
                 bar.clear()
                 yield tasks[task], task.result()

@@ -23,6 +23,7 @@ from mmqa_lab.io import write_atomically
 from mmqa_lab.published.ledger import collect, summary
 from mmqa_lab.run.pages import ANSWERS, LEDGER, notebook_page, stored_answers
 from mmqa_lab.run.records import new_record, read_record, write_record
+from mmqa_lab.run.speed import TIMES, stored_seconds
 
 __all__ = ["ENVIRONMENT", "code_hash", "execute", "inject", "run_study", "store"]
 
@@ -127,7 +128,7 @@ def store(notebooks, folder, studies):
         If a study has no complete full run, or if its notebook changed after the run.
     """
     folder, notebooks = Path(folder).resolve(), Path(notebooks)
-    answers = stored_answers(notebooks)
+    answers, seconds = stored_answers(notebooks), stored_seconds(notebooks)
     for study in studies:
         record = read_record(folder / study.stem)
         if record.get("quick", True) or record["failure"]:
@@ -138,12 +139,15 @@ def store(notebooks, folder, studies):
             raise ValueError(f"Invalid results of {study.stem}: the notebook changed. Must be run.")
         text = nbformat.writes(_lightened(ran, plain)).replace(str(folder), "results")
         write_atomically(study.path, text + "\n")
+        seconds[study.stem] = record["seconds"]
         if figure := record["answer"]["thumbnail"]:  # a tool has none
             answers[study.stem] = [record["answer"]["short"], record["answer"]["sentence"]]
             thumbnail = notebooks / "thumbnails" / f"{study.notebook}.png"
             _store_figure(folder / study.stem / f"{figure}.png", thumbnail, THUMBNAIL_PX)
     rows = [(stem, *both) for stem, both in answers.items()]
     write_atomically(notebooks / ANSWERS, pd.DataFrame(rows, columns=["study", "short", "answer"]))
+    times = pd.DataFrame(seconds.items(), columns=["study", "seconds"])
+    write_atomically(notebooks / TIMES, times)
     if (folder / TASKS).is_file():
         write_atomically(notebooks / Path(TASKS).name, pd.read_csv(folder / TASKS))
     if (folder / KEY_FIGURE).is_file():
