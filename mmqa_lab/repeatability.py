@@ -170,7 +170,7 @@ class Repeatability(Shown):
 
     def to_frame(self) -> pd.DataFrame:
         """Return a row with all fields, ``r``, and ``relative_s_r_percent`` with its interval."""
-        percent = 100 / self.mean if self.mean else np.nan
+        percent = 100 / abs(self.mean) if self.mean else np.nan
         relative = {
             "relative_s_r_percent": percent * self.s_r,
             "low_percent": percent * self.s_r_low,
@@ -216,6 +216,7 @@ def repeatability(table: pd.DataFrame, value: str) -> Repeatability:
     (0.141, 0.7, 0.961)
     """
     check_columns(table, [value], "table")
+    _check_named(table, ["scan"] if "scan" in table else [])
     grouped = table.groupby("scan" if "scan" in table else np.zeros(len(table)))[value]
     parts = [rows.to_numpy(dtype=np.float64) for _, rows in grouped]
     if not parts or min(len(part) for part in parts) < 2:
@@ -268,6 +269,7 @@ def variance_components(table: pd.DataFrame, value: str, *, factors: Sequence[st
     (['scan', 'selection'], [0.49, 0.034])
     """
     check_columns(table, [value, *factors], "table")
+    _check_named(table, factors)
     if not (np.isfinite(table[value]) & (table[value] > 0)).all():
         raise ValueError(f"Invalid {value}: not positive. Must be positive in every selection.")
     logs = np.log(table[value])
@@ -284,6 +286,14 @@ def variance_components(table: pd.DataFrame, value: str, *, factors: Sequence[st
     found = {"factor": [*factors, "selection"], "variance": variances}
     found |= {"share": variances / variances.sum(), "relative_sd": np.sqrt(variances)}
     return pd.DataFrame(found | {"n": len(logs)})
+
+
+def _check_named(table, columns):
+    """Refuse rows that do not say which scan, or which level of a factor, they belong to."""
+    for name in columns:
+        if table[name].isna().any():
+            row = int(np.argmax(table[name].isna()))
+            raise ValueError(f"Invalid {name} in row {row}: none. Must be named in every row.")
 
 
 def _chi_squared_ends(off, freedom):

@@ -400,3 +400,56 @@ def test_three_points_without_neighbours_are_drawn(tmp_path):
     quality = evaluate_cloud(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]]))
     quality.plot(detail=0.1).savefig(tmp_path / "f.png")
     plt.close("all")
+
+
+def board(n, seed=0, noise=0.005):
+    """Random points of a board of 1 m with normal noise."""
+    rng = np.random.default_rng(seed)
+    return np.column_stack([rng.random((n, 2)), rng.normal(0, noise, n)])
+
+
+@pytest.mark.parametrize(
+    ("left", "has_polygon", "words"),
+    [
+        (lambda x, y: x < 0.9, True, "e95 is 56 mm if places there count"),
+        (lambda x, y: x < 0.7, True, "e95 is 25"),
+        (lambda x, y: (x < 0.5) | (y < 0.5), False, "hull of the points lies more than"),
+        (lambda x, y: np.hypot(x - 0.5, y - 0.5) > 0.3, False, "Give a polygon"),
+    ],
+)
+def test_what_is_empty_of_a_surface_is_said(left, has_polygon, words):
+    points = board(3000)
+    square = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]] if has_polygon else None
+    whole = evaluate_cloud(points, polygon=square)
+    assert not any("more than" in one for one in whole.remarks)
+    found = evaluate_cloud(points[left(*points[:, :2].T)], polygon=square)
+    assert any(words in one for one in found.remarks), found.remarks
+
+
+def test_coarse_coordinates_and_repeated_places_have_no_intervals():
+    steps = evaluate_cloud(np.round(board(3000) * [2, 1, 1], 2)).intervals().set_index("figure")
+    assert steps.loc[["d1", "d4", "f", "g"], ["low", "high"]].isna().all(axis=None)
+    assert steps.loc["density", ["low", "high"]].notna().all()
+    few = evaluate_cloud(np.repeat(board(10), 6, axis=0))
+    assert few.intervals()[["low", "high"]].isna().all(axis=None)
+
+
+@pytest.mark.parametrize("n", [100, 127, 200, 400])
+def test_a_flat_board_has_no_layers_and_two_have(n):
+    for seed in range(12):
+        points = board(n, seed)
+        assert not any("two layers" in one for one in evaluate_cloud(points).remarks)
+    two = board(400) + np.outer(np.arange(400) % 2, [0, 0, 0.03])
+    assert any("two layers" in one for one in evaluate_cloud(two).remarks)
+
+
+def test_the_interval_of_the_density_does_not_turn_with_the_axes():
+    points = board(2000) * [2, 0.5, 1]
+    widths = []
+    for turn in np.radians([0, 20, 45]):
+        c, s = np.cos(turn), np.sin(turn)
+        ring = np.array([[0, 0], [2, 0], [2, 0.5], [0, 0.5]]) @ [[c, s], [-s, c]]
+        turned = points @ [[c, s, 0], [-s, c, 0], [0, 0, 1]]
+        row = evaluate_cloud(turned, polygon=np.column_stack([ring, 0 * ring[:, 0]])).intervals()
+        widths.append(np.diff(row.loc[0, ["low", "high"]].to_numpy(float))[0])
+    assert np.ptp(widths) < 0.1 * np.mean(widths)

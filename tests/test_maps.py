@@ -19,7 +19,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmqa_lab import io, maps
+from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.cloud import Cloud
+from mmqa_lab.metrics import METRICS
 
 
 def street(seed=1, n=6000):
@@ -338,3 +340,40 @@ def test_summary_has_the_quantiles_of_the_cells():
     known = dataset["f"].values[np.isfinite(dataset["f"].values)]
     assert table.loc["f", "q50"] == np.median(known)
     assert table.loc["f", "n"] == len(known)
+
+
+def test_metrics_of_the_field_and_of_ones_own_stand_in_a_map(tmp_path):
+    points = street()
+    found = maps.map_cloud(points, cell=1.0, metrics=["e95_of_3", "noise_of_a_mean", "e95"])
+    row, column = 2, 3
+    corner = np.array([found["x"][column], found["y"][row]]) - 0.5
+    own = points[((points[:, :2] >= corner) & (points[:, :2] < corner + 1)).all(axis=1)]
+    ring = np.column_stack([corner + [[0, 0], [1, 0], [1, 1], [0, 1]], np.full(4, 100.0)])
+    chart = evaluate_cloud(own, polygon=ring)
+    for name in ("e95_of_3", "noise_of_a_mean", "e95"):
+        measured = float(found[name][row, column])
+        assert measured == pytest.approx(METRICS[name](chart), rel=0.01), name
+    assert found["e95_of_3"].attrs["units"] == "mm"
+    assert "e95_of_3" in maps.summarise(found)["figure"].tolist()
+    (tmp_path / "mine.py").write_text("def points(chart):\n    return chart.n\n")
+    io.write_cloud(tmp_path / "a.laz", Cloud(points))
+    words = ["map", "a.laz", "--out", "m.nc", "--metrics", "mesh_ratio,mine:points"]
+    done = subprocess.run(
+        [sys.executable, "-m", "mmqa_lab", *words], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    again = maps.open_map(tmp_path / "m.run")
+    known = again["n"].values >= maps.cells.MINIMUM
+    assert (again["points"].values[known] == again["n"].values[known]).all()
+    with pytest.raises(ValueError, match="files or parameters"):
+        maps.map_campaign([tmp_path / "a.laz"], tmp_path / "m.run", metrics=["e99"])
+
+
+def test_different_places_never_count_as_one_and_steps_are_found_as_in_a_chart():
+    points = np.random.default_rng(7).random((200_000, 3)) * [40, 40, 4] - [20, 20, 0]
+    points = np.round(points * 1024) / 1024
+    counts = np.unique(points, axis=0, return_counts=True)[1]
+    found = maps.map_cloud(points, cell=4.0)
+    assert int(found["coincident"].sum()) == counts[counts > 1].sum()
+    coarse = np.round(street(), 2)
+    assert "steps of 10 mm" in maps.map_cloud(coarse).attrs["remarks"]

@@ -189,3 +189,13 @@ def test_a_share_of_a_mean_of_zero_is_not_measurable():
     found = repeatability(pd.DataFrame({"bias": [-1.0, 1.0]}), "bias").to_frame()
     assert np.isnan(found["relative_s_r_percent"].item())
     assert found["s_r"].item() == pytest.approx(2**0.5)
+
+
+def test_rows_that_do_not_name_their_scan_are_refused_and_means_may_be_negative():
+    table = pd.DataFrame({"scan": [1, 1, np.nan, 2, 2], "f": [2.0, 2.2, 3.0, 3.1, 3.3]})
+    with pytest.raises(ValueError, match="Invalid scan in row 2: none"):
+        repeatability(table, "f")
+    with pytest.raises(ValueError, match="Invalid scan in row 2: none"):
+        variance_components(table, "f", factors=["scan"])
+    below = repeatability(table.dropna().assign(f=lambda one: -one["f"]), "f").to_frame().iloc[0]
+    assert 0 < below["low_percent"] < below["relative_s_r_percent"] < below["high_percent"]

@@ -8,15 +8,26 @@ from numpy.typing import ArrayLike
 from mmqa_lab._results import sentences
 from mmqa_lab.planes import sigma_mad
 from mmqa_lab.spacing.directions import FEWEST_POINTS, block_numbers
+from mmqa_lab.spacing.empty import EmptySpace, places_within
+from mmqa_lab.spacing.neighbours import tree_of
 
 __all__ = [
     "COARSE_MM",
     "PAIRS",
     "is_below_step",
+    "is_coarse",
     "remark_on_form",
+    "remark_on_gaps",
     "remark_on_layers",
     "remarks_on_points",
 ]
+
+LAYER_ERRORS = 4.0
+"""Errors of a count by which the dip between two layers is deeper than by chance."""
+
+GAP_PLACES, EMPTY_MEDIANS, EMPTY_SHARE = 2000, 4.0, 0.02
+"""Places of an outline; one is empty if its nearest point is farther than so many medians of all
+(of random points one in 70,000, of lines none); the share of empty places that gets a remark."""
 
 ALIKE = 1.1
 """Ratio of the two largest variances below which the principal axes have a random direction."""
@@ -47,11 +58,13 @@ def remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
     away = np.hypot(*(gaps.xy - np.median(gaps.xy, axis=0)).T)
     far = away > FAR_QUANTILES * np.quantile(away, 0.9)
     coarse = [f"sigma_MAD {sigma_mm:.3g} mm"] * int(step_mm > sigma_mm)
-    coarse += [f"d1 {d1_mm:.3g} mm"] * int(step_mm > d1_mm / 5)
+    fine = not is_coarse(d1_mm, step_mm)
+    coarse += [f"d1 {d1_mm:.3g} mm"] * int(not fine)
     return sentences(
         (
             step_mm > COARSE_MM and coarse,
-            f"Coordinates are in steps of {step_mm:.3g} mm: too coarse for {' and '.join(coarse)}.",
+            f"Coordinates are in steps of {step_mm:.3g} mm: too coarse for {' and '.join(coarse)}."
+            + ("" if fine else " d1 to d4, f and g have no intervals."),
         ),
         (
             is_below_step(d1_mm, step_mm),
@@ -96,6 +109,17 @@ def remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
     )
 
 
+def is_coarse(d1_mm: float, step_mm: float) -> bool:
+    """Return whether steps of coordinates decide a spacing: it then has no interval.
+
+    Examples
+    --------
+    >>> is_coarse(9.0, 1.0), is_coarse(9.0, 2.0)
+    (False, True)
+    """
+    return step_mm > max(d1_mm / 5, COARSE_MM)
+
+
 def is_below_step(d1_mm: ArrayLike, step_mm: float) -> np.ndarray:
     """Return whether a spacing is due to rounding alone: points in a grid of steps lie farther.
 
@@ -105,6 +129,27 @@ def is_below_step(d1_mm: ArrayLike, step_mm: float) -> np.ndarray:
     [True, False]
     """
     return np.multiply(2, d1_mm) < step_mm
+
+
+def remark_on_gaps(xy, outline, has_polygon):
+    """A remark if a part of the outline is empty beside what the other gaps let expect."""
+    places, border = places_within(outline, most=GAP_PLACES)
+    away = tree_of(xy).query(places)[0]
+    limit = EMPTY_MEDIANS * np.median(away)
+    share = np.mean(away > limit)
+    if share < EMPTY_SHARE:
+        return ()
+    empty = f"{100 * share:.0f} % of the {'polygon' if has_polygon else 'hull of the points'} lies "
+    empty += f"more than {1000 * limit:.0f} mm from any point: the density counts it."
+    e95, whole = EmptySpace(places, away, border).e95, np.quantile(away, 0.95)
+    return sentences(
+        (True, empty),
+        (not has_polygon, "Give a polygon if the surface is smaller than the hull."),
+        (
+            has_polygon and not whole < 1.1 * e95,
+            f"Points end before the border: e95 is {1000 * whole:.0f} mm if places there count.",
+        ),
+    )
 
 
 def is_by_chance(xy, axes):
@@ -152,7 +197,8 @@ def remark_on_layers(residuals_mm, step_mm):
     before, after = np.maximum.accumulate(counts), np.maximum.accumulate(counts[::-1])[::-1]
     lower = np.minimum(before, after)
     k = np.argmax(lower - counts)
-    if 2 * counts[k] > lower[k] or lower[k] < 0.05 * len(residuals_mm):
+    dip = lower[k] - counts[k] < LAYER_ERRORS * np.sqrt(lower[k])
+    if dip or 2 * counts[k] > lower[k] or lower[k] < 0.05 * len(residuals_mm):
         return []
     peaks = [edges[np.argmax(counts[:k])], edges[k + np.argmax(counts[k:])]]
     a, b = np.add(peaks, width / 2)

@@ -12,14 +12,19 @@ import shapely
 from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice, check_number, check_points, check_positive
-from mmqa_lab.chart_cloud.doubts import remark_on_form, remark_on_layers, remarks_on_points
+from mmqa_lab.chart_cloud.doubts import (
+    remark_on_form,
+    remark_on_gaps,
+    remark_on_layers,
+    remarks_on_points,
+)
 from mmqa_lab.chart_cloud.parts import remark_on_part
 from mmqa_lab.chart_cloud.quality import CloudQuality
 from mmqa_lab.chart_cloud.selection import outline_on, selected
 from mmqa_lab.planes import CONSISTENT_SCALE, checked_plane, sigma_mad
 from mmqa_lab.spacing.quadrants import checked_spacing
 
-__all__ = ["evaluate_cloud"]
+__all__ = ["evaluate_cloud", "plan_chart", "step_of"]
 
 UPRIGHT_COSINE = 0.7
 """A surface is upright if the cosine of its slope is smaller. Its default axes are horizontal."""
@@ -122,8 +127,10 @@ def evaluate_cloud(
     hull = shapely.convex_hull(shapely.linestrings(xy))
     outline = hull if polygon is None else outline_on(polygon, framed, surface.normal)
     sigma_mad_mm = 1000 * sigma_mad(plane.residuals, scale)
-    step_mm = 1000 * np.fmax.reduce([resolution, _step(points), np.spacing(np.abs(points).max())])
+    step_mm = 1000 * np.fmax.reduce([resolution, step_of(points), np.spacing(np.abs(points).max())])
     remarks = remarks_on_points(gaps, step_mm, sigma_mad_mm, hull.area, outline.area, axes)
+    if outline.area:
+        remarks += remark_on_gaps(xy, outline, polygon is not None)
     remarks += tuple(remark_on_layers(1000 * plane.residuals, step_mm))
     remarks += remark_on_part(points, plane, sigma_mad_mm, scale, step_mm)
     remarks += tuple(remark_on_form(xy, 1000 * plane.residuals, step_mm, scale))
@@ -141,6 +148,25 @@ def evaluate_cloud(
     )
 
 
+def plan_chart(points, side, radius):
+    """The chart of points (n, 3) in a square of the plan from (0, 0), m, axes along its sides."""
+    plane = checked_plane(points)
+    hull = shapely.convex_hull(shapely.multipoints(points[:, :2]))
+    outline = shapely.box(0, 0, side, side)
+    return CloudQuality(
+        area_polygon_m2=outline.area,
+        area_hull_m2=float(hull.area),
+        sigma_mad_mm=1000 * sigma_mad(plane.residuals),
+        axes="of the plan",
+        rho0_per_m2=np.nan,
+        step_mm=np.nan,
+        remarks=(),
+        plane=plane,
+        spacing=checked_spacing(np.ascontiguousarray(points[:, :2]), radius),
+        outline=outline,
+    )
+
+
 def _directions(plane, axes):
     """The axes of the quadrants, shape (2, 3)."""
     if not isinstance(axes, str):
@@ -150,7 +176,7 @@ def _directions(plane, axes):
     return plane.axes if axes == "principal" else plane.horizontal_axes()
 
 
-def _step(points):
+def step_of(points):
     """The coarsest step, m, of which all coordinates are multiples; NaN without such a step."""
     local = points[:: 1 + len(points) // 1000] - points[0]
     steps = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)

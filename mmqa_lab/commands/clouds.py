@@ -10,6 +10,7 @@ from mmqa_lab.commands.machine import (
     table,
     write_figure,
 )
+from mmqa_lab.commands.metrics import metrics_of
 
 __all__ = ["evaluate", "info", "pattern"]
 
@@ -67,6 +68,7 @@ def evaluate(
     radius: float = 0.5,
     intervals: bool = False,
     detail: float | None = None,
+    metrics: str | None = None,
     out: Path | None = None,
 ):
     """Evaluate the points on one planar surface: density, sigma_MAD, d1..d4, f, g and e95.
@@ -94,15 +96,21 @@ def evaluate(
     detail
         Size of details, m. Print the share of places that would show one by three points; the
         picture marks the others.
+    metrics
+        Print a row for each of these metrics of the field, such as e95_of_3,noise_of_a_mean, for
+        all of them (all), or for one of your own, a function of the chart (MODULE:FUNCTION).
     out
         Draw the last cloud into this file: .pdf, .png or .svg.
     """
     import pandas as pd
 
     from mmqa_lab import chart_cloud, io
+    from mmqa_lab.metrics import METRICS
+    from mmqa_lab.metrics import table as table_of
 
     check_ending(out, "figure", FIGURE_ENDINGS)
     turned = float(axes) if axes and re.fullmatch(r"-?(\d+\.?\d*|\.\d+)", axes) else axes
+    chosen = metrics_of(metrics)
     choices = {"axes": turned, "radius": radius, "rho0": rho0}
     done = []
 
@@ -117,12 +125,16 @@ def evaluate(
     def _figures(name, ring, cloud):
         quality = chart_cloud.evaluate_cloud(cloud, polygon=ring, **choices)
         frame = _with_doubts(quality) if intervals else quality.to_frame()
+        if chosen:
+            own = {name: one for name, one in chosen.items() if METRICS.get(name) is not one}
+            frame = table_of(quality, chosen, own=own)
         if detail is not None:
             frame["details_seen"] = quality.details(detail)[0]
         done.append(quality)
         if name:
             frame.insert(0, "outline", name)
-        return frame.assign(remarks=" ".join(quality.remarks))
+        said = " ".join(quality.remarks)
+        return frame.assign(remarks=[one or said for one in frame["remarks"]] if chosen else said)
 
     frame = each_file(clouds, "cloud", measured)
     if out is not None:

@@ -55,7 +55,7 @@ def bench(
     from mmqa_lab.studies import chosen
 
     comparison = chosen([study])[0].bench(quick=quick)
-    own = dict(_named_function(text) for text in method or [])
+    own = dict(named_function(text) for text in method or [])
     taken = own.keys() & comparison.methods.keys()
     if taken:
         raise ValueError(f"Invalid method {min(taken)!r}: the study has it. Must have a new name.")
@@ -94,7 +94,7 @@ def _answers(comparison, results):
     return tables, drawn
 
 
-def _named_function(text):
+def named_function(text):
     """Name and function of MODULE:FUNCTION, in the current directory."""
     module, _, name = text.partition(":")
     sys.path.insert(0, str(Path.cwd()))

@@ -11,7 +11,7 @@ import multiprocessing
 import os
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from hashlib import sha256
@@ -29,9 +29,10 @@ from mmqa_lab._checks import (
     check_same_crs,
     check_upright,
 )
+from mmqa_lab.chart_cloud.evaluate import step_of
 from mmqa_lab.cloud import cells_of, extent, sort_into_cells
 from mmqa_lab.io import LAS_ENDINGS, iterate_cloud, own_folder, write_atomically
-from mmqa_lab.maps.cells import check_extent, dataset_of, evaluated_cells
+from mmqa_lab.maps.cells import check_extent, chosen_metrics, dataset_of, evaluated_cells
 from mmqa_lab.maps.files import placed
 
 if TYPE_CHECKING:
@@ -56,6 +57,7 @@ def map_campaign(
     cell: float = 0.5,
     radius: float = 0.5,
     tile: int = 128,
+    metrics: Iterable[str] | Mapping[str, Callable] = (),
     client: Any = None,
 ) -> Path:
     """Map cloud files of any size tile by tile on Dask; tiles on disk are not computed again.
@@ -77,6 +79,8 @@ def map_campaign(
     tile : int
         Largest side, in cells, of the tiles in which points lie on disk. Neighbours of few points
         are evaluated together. The figures do not depend on it.
+    metrics : names of ``metrics.METRICS``, or mapping of names to functions of a chart
+        More variables of the map, see :func:`map_cloud`.
     client : distributed.Client, optional
         A cluster whose workers reach the same paths and this folder, such as
         ``Client("tcp://address:8786")``, or ``Client()`` for processes of this machine. A tile
@@ -97,7 +101,8 @@ def map_campaign(
     cell, radius = check_positive(cell, "cell", unit="m"), check_positive(radius, "radius")
     tile = min(check_count(tile, "tile"), max(1, round(TILE_M / cell)))
     files = [[str(path), path.stat().st_size, path.stat().st_mtime_ns] for path in paths]
-    run = {"cell": cell, "radius": radius, "tile": tile, "files": files}
+    functions = chosen_metrics(metrics)
+    run = {"cell": cell, "radius": radius, "tile": tile, "files": files, "metrics": [*functions]}
     own, kept = Path(folder).resolve() / OWN, _record(folder)
     if kept and {name: kept.get(name) for name in run} != run:
         found = f"{OWN} in it is a map of other files or parameters"
@@ -124,7 +129,10 @@ def map_campaign(
                 warnings.warn(sentence, stacklevel=2)
             kept = run | found
             write_atomically(own / "run.json", json.dumps(kept, indent=1))
-        tasks = [(own, place, _near(slices, place, kept), kept) for place in _missing(own, kept)]
+        tasks = [
+            (own, place, _near(slices, place, kept), kept, functions)
+            for place in _missing(own, kept)
+        ]
         _computed(_map_tile, tasks, "tiles", client)
         _remove_working_files(own)
     return Path(folder)
@@ -176,7 +184,7 @@ def _key(*values):
 
 def _tile(own, place, run):
     """The file of a tile's figures."""
-    key = _key(*(run[name] for name in ("cell", "radius", "tile", "files")))
+    key = _key(*(run[name] for name in ("cell", "radius", "tile", "files", "metrics")))
     return own / f"tile_{place[0]}_{place[1]}_{key}.npy"
 
 
@@ -224,7 +232,8 @@ def _sort_file(own, file, cell, tile, again):
             rows = np.column_stack([tiles, starts[:-1], starts[1:]]).tolist()
             found["slices"] += [(name, *row) for row in rows]
             found["crs"] = None if part.crs is None else part.crs.to_wkt()
-            found["step"] = float(np.fmax(part.resolution, 0))
+            steps = found["step"], part.resolution, step_of(part.points)
+            found["step"] = float(np.fmax.reduce(steps))
             found["n"] += len(part)
             total += [axis.sum() for axis in (part.points - ends[0]).T]
     if found["n"]:
@@ -299,7 +308,7 @@ def _near(slices, place, run):
     return ends[["name", "start", "stop"]].to_numpy().tolist()
 
 
-def _map_tile(own, place, near, run):
+def _map_tile(own, place, near, run, metrics):
     """Evaluate a tile with the points around it, and write its file."""
     first, side, cell = np.multiply(place, run["side"]), run["side"], run["cell"]
     points = np.concatenate([
@@ -310,7 +319,7 @@ def _map_tile(own, place, near, run):
     points = points[_within(points, first * cell - margin, (first + side) * cell + margin)]
     index = cells_of(points[:, :2], cell)
     inner = _within(index, first, first + side)
-    table = evaluated_cells(points, index, inner, cell, run["radius"])
+    table = evaluated_cells(points, index, inner, cell, run["radius"], metrics)
     write_atomically(_tile(own, place, run), lambda path: np.save(path, table))
 
 

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import (
+    check_known,
     check_points,
     check_positive,
 )
-from mmqa_lab.chart_cloud.doubts import COARSE_MM, PAIRS, is_below_step
+from mmqa_lab.chart_cloud.doubts import COARSE_MM, PAIRS, is_below_step, is_coarse
+from mmqa_lab.chart_cloud.evaluate import plan_chart, step_of
 from mmqa_lab.cloud import ON_BORDER, cells_of, extent, sort_into_cells, unit_remarks
+from mmqa_lab.metrics import METRICS
 from mmqa_lab.planes import CONSISTENT_SCALE
 from mmqa_lab.spacing import quadrant_distances
 from mmqa_lab.spacing.empty import STEPS
@@ -31,7 +35,7 @@ FIGURES = {
     "d3": ("mm", "median distance to the third of them"),
     "d4": ("mm", "median distance to the farthest of them"),
     "f": ("1", "inhomogeneity d4 / d1"),
-    "e95": ("mm", "95 % of the places in the cell lie within this distance of a point"),
+    "e95": ("mm", "95 % of 30 places in the cell lie within this distance of a point"),
     "incomplete_share": ("1", "share of points with an empty quadrant within the radius"),
     "sigma_mad": ("mm", "1.4826 x median absolute deviation from the plane of the cell's points"),
     "coincident": ("1", "points in the place of another one: they raise the density"),
@@ -49,7 +53,13 @@ CELL_PLACES = np.outer(np.arange(1, 31), STEPS) % 1
 MOST_MAP_CELLS = 1e8
 
 
-def map_cloud(points: ArrayLike, *, cell: float = 0.5, radius: float = 0.5) -> xr.Dataset:
+def map_cloud(
+    points: ArrayLike,
+    *,
+    cell: float = 0.5,
+    radius: float = 0.5,
+    metrics: Iterable[str] | Mapping[str, Callable] = (),
+) -> xr.Dataset:
     """Evaluate every cell of a cloud.
 
     Parameters
@@ -60,6 +70,9 @@ def map_cloud(points: ArrayLike, *, cell: float = 0.5, radius: float = 0.5) -> x
         Side of the square cells, m. The borders lie at multiples of the side.
     radius : float
         Largest distance of a neighbour in plan, m; one at this distance counts.
+    metrics : names of ``metrics.METRICS``, or mapping of names to functions of a chart
+        More variables, each of the points of the cell alone: a chart whose outline is the cell.
+        One that is a figure of the map already takes its place.
 
     Returns
     -------
@@ -92,10 +105,21 @@ def map_cloud(points: ArrayLike, *, cell: float = 0.5, radius: float = 0.5) -> x
     points = check_points(points)
     cell, radius = check_positive(cell, "cell", unit="m"), check_positive(radius, "radius")
     check_extent(points, cell)
+    step = np.fmax(step, step_of(points))
+    functions = chosen_metrics(metrics)
     index = cells_of(points[:, :2], cell)
-    table = evaluated_cells(points, index, np.ones(len(points), dtype=bool), cell, radius)
+    inner = np.ones(len(points), dtype=bool)
+    table = evaluated_cells(points, index, inner, cell, radius, functions)
     remarks = unit_remarks(points, crs=crs)
-    return dataset_of(table, {"cell": cell, "radius": radius, "step": step, "remarks": remarks})
+    about = {"cell": cell, "radius": radius, "step": step, "remarks": remarks}
+    return dataset_of(table, about | {"metrics": list(functions)})
+
+
+def chosen_metrics(metrics):
+    """The functions of a chart by their names."""
+    if isinstance(metrics, Mapping):
+        return dict(metrics)
+    return {name: METRICS[check_known(name, "metric", METRICS)] for name in metrics}
 
 
 def check_extent(points, cell):
@@ -107,8 +131,8 @@ def check_extent(points, cell):
         raise ValueError(f"Invalid clouds over {wide}. Must lie in {most}, in metres.")
 
 
-def evaluated_cells(points, index, inner, cell, radius):
-    """A row for each cell with points: its place and its figures, shape (m, 2 + figures).
+def evaluated_cells(points, index, inner, cell, radius, metrics):
+    """A row for each cell with points: its place, figures and metrics, (m, 2 + all of them).
 
     ``index`` has the points' cells. Points that are not ``inner`` only count as neighbours.
     """
@@ -128,7 +152,12 @@ def evaluated_cells(points, index, inner, cell, radius):
     e95 = _empty_space(local, (cells - cells[0])[:, None] + CELL_PLACES, cell, radius)
     *d_mm, e95_mm, sigma_mm = (1000 * length for length in (*d, e95, sigma))
     figures = counts, counts / cell**2, *d_mm, d[3] / d[0], e95_mm, missing / counts
-    return np.column_stack([cells, *figures, sigma_mm, same])
+    values = np.full((len(cells), len(metrics)), np.nan)
+    for k in np.flatnonzero(counts >= MINIMUM) if metrics else ():
+        part = points[rows[starts[k] : starts[k] + counts[k]]] - [*(cells[k] * cell), 0]
+        chart = plan_chart(part, cell, radius)
+        values[k] = [function(chart) for function in metrics.values()]
+    return np.column_stack([cells, *figures, sigma_mm, same, values])
 
 
 def _medians(rows, group):
@@ -161,7 +190,11 @@ def _coincident(xyz):
     key = x * np.uint64(3**20) + y * np.uint64(5**20) + z * np.uint64(7**20)
     listed = np.sort(key)
     twice = listed[1:][listed[1:] == listed[:-1]]
-    return np.isin(key, twice).astype(int) if len(twice) else np.zeros(len(key), dtype=int)
+    found = np.zeros(len(key), dtype=int)
+    if len(twice):  # different places may share a key
+        same = np.flatnonzero(np.isin(key, twice))
+        found[same] = pd.DataFrame(xyz.T[same]).duplicated(keep=False)
+    return found
 
 
 def dataset_of(table, run):
@@ -172,7 +205,13 @@ def dataset_of(table, run):
     first = cells.min(axis=0)
     columns, rows = (cells - first).T
     data = {}
-    for (name, (unit, meaning)), values in zip(FIGURES.items(), table.T[2:], strict=True):
+    listed = [*FIGURES.items()]
+    for name in run["metrics"]:
+        known = METRICS.get(name)
+        listed.append(
+            (name, (known.unit, known.function.__doc__) if known else ("1", "own metric"))
+        )
+    for (name, (unit, meaning)), values in zip(listed, table.T[2:], strict=True):
         whole = np.full((rows.max() + 1, columns.max() + 1), 0 if name == "n" else np.nan)
         whole[rows, columns] = values
         data[name] = (("y", "x"), whole, {"units": unit, "long_name": meaning})
@@ -181,7 +220,7 @@ def dataset_of(table, run):
     below = is_below_step(data["d1"][1], step_mm)
     data["f"][1][below] = np.nan
     axes = {name: (name, (place + 0.5) * cell, {"units": "m"}) for name, place in places.items()}
-    medians = pd.DataFrame(table[:, 2:], columns=list(FIGURES)).median()
+    medians = pd.DataFrame(table[:, 2 : 2 + len(FIGURES)], columns=list(FIGURES)).median()
     same = np.nansum(data["coincident"][1]), data["n"][1].sum()
     remarks = [*run["remarks"], *_remarks(medians, step_mm, int(below.sum()), *same)]
     about = {"cell_m": cell, "radius_m": run["radius"], "remarks": " ".join(remarks)}
@@ -191,8 +230,8 @@ def dataset_of(table, run):
 def _remarks(medians, step_mm, below, same, count):
     """What speaks against the figures of a map."""
     d1, d2, sigma = medians[["d1", "d2", "sigma_mad"]]
-    coarse = [f"sigma_MAD {sigma:.3g} mm"] * (step_mm > sigma)
-    coarse += [f"d1 {d1:.3g} mm"] * (step_mm > d1 / 5)
+    coarse = [f"sigma_MAD {sigma:.3g} mm"] * int(step_mm > sigma)
+    coarse += [f"d1 {d1:.3g} mm"] * int(is_coarse(d1, step_mm))
     steps = f"Coordinates are in steps of {step_mm:.3g} mm: too coarse for {' and '.join(coarse)}."
     pairs = f"d2 is {d2 / d1:.0f} times d1: points come in pairs, as from two returns of a pulse"
     share = f"{same:.0f} points ({100 * same / count:.3g} %) share their place with another"

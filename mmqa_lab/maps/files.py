@@ -13,7 +13,6 @@ from mmqa_lab._checks import (
     check_choice,
 )
 from mmqa_lab.io import write_atomically
-from mmqa_lab.maps.cells import FIGURES
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -48,11 +47,11 @@ def summarise(dataset: xr.Dataset) -> pd.DataFrame:
     DataFrame
         A row for each figure: ``figure``, ``unit``, ``n`` (cells with a value), ``q05`` to ``q95``.
     """
-    names = [name for name in FIGURES if name != "n"]
+    names = [name for name in dataset if name != "n"]
     cells = dataset[names].to_dataframe()[names]
     table = cells.quantile(QUANTILES).T.set_axis([f"q{100 * q:02.0f}" for q in QUANTILES], axis=1)
     table.insert(0, "n", cells.count())
-    units = [FIGURES[name][0] for name in names]
+    units = [dataset[name].attrs["units"] for name in names]
     table.insert(0, "unit", ["points/m2" if unit == "m-2" else unit for unit in units])
     return table.rename_axis("figure").reset_index()
 

@@ -265,6 +265,8 @@ def line_parts(xy: ArrayLike, found: DirectionalSpacing | None = None) -> np.nda
     if len(xy) < FEWEST_POINTS or not np.ptp(xy, axis=0).any():
         return np.zeros(len(xy), dtype=np.intp)
     found = directional(xy) if found is None else found
+    if found.n < FEWEST_POINTS:  # repeated places are no more points
+        return np.zeros(len(xy), dtype=np.intp)
     if found.g > 1 + CHANCE / np.sqrt(found.n):
         return stats.order_parts(xy, found.direction_deg)
     return np.vstack([stats.order_parts(xy, 0), stats.order_parts(xy, 45)])
