@@ -74,9 +74,9 @@ def show_cloud(
     Parameters
     ----------
     cloud : array_like, shape (n, 3)
-        Metres. The view counts from the lowest corner.
-    values : array_like, shape (n,)
-        Residuals, intensities, f, ...
+        Metres; the axes show its coordinates.
+    values : array_like, shape (n,) or (n, 3)
+        Residuals, intensities, f, ...; or colours from 0 to 1.
     label : str
         Name and unit of the values.
     limit : float, optional
@@ -99,7 +99,7 @@ def show_cloud(
     'No 3-D view: it needs the OpenGL libraries that the README names.'
     """
     points = check_points(cloud)
-    local, values = points - points.min(axis=0), np.asarray(values, dtype=np.float64)
+    values = np.asarray(values, dtype=np.float64)
     if not can_render():
         return needs("lab", "IPython.display").Markdown(
             "No 3-D view: it needs the OpenGL libraries that the README names."
@@ -110,11 +110,13 @@ def show_cloud(
         choices = {"jupyter_backend": "server", "jupyter_kwargs": {"collapse_menu": True}}
         # it would download code from the network when the first view opens
         sys.modules.setdefault("trame.widgets.vtklocal", None)  # type: ignore[arg-type]
-    return _plotter(local, values, label, limit).show(return_viewer=True, **choices)
+    return _plotter(points, values, label, limit).show(return_viewer=True, **choices)
 
 
-def _plotter(local, values, label, limit=None):
-    """The pyvista scene of one cloud."""
+def _plotter(points, values, label, limit=None):
+    """The pyvista scene of one cloud; drawn from its lowest corner, as VTK counts in float32."""
+    low = points.min(axis=0)
+    local = points - low
     pyvista = needs("views", "pyvista")
     # pyvista itself does not find the notebook when a button calls
     place: dict = {
@@ -122,24 +124,35 @@ def _plotter(local, values, label, limit=None):
         "off_screen": is_headless(),
     }
     plotter = pyvista.Plotter(**place, window_size=(900, 650))
+    if values.ndim == 2:
+        plotter.add_points(pyvista.PolyData(local), scalars=values, rgb=True, point_size=4)
+    else:
+        _add_shaded(plotter, pyvista.PolyData(local), values, label, limit)
+    extent, box, ranges, shown = np.ptp(local, axis=0), [], [], {}
+    for k, (axis, title) in enumerate(zip("xyz", TITLES, strict=True)):
+        room = extent[k] >= 0.1 * extent.max()  # for numbers
+        ends = low[k] + np.array([0.0, extent[k]])
+        ticks = _round_ticks(*ends, round(5 * extent[k] / extent.max()))
+        ranges += [*(ticks[[0, -1]] if room else ends)]
+        box += [one - low[k] for one in ranges[-2:]]
+        shown |= {f"{axis}title": title if room else " ", f"show_{axis}axis": room}
+        shown |= {f"show_{axis}labels": room, f"n_{axis}labels": len(ticks)}
+    look = {"font_size": 12, "location": "outer", "fmt": "%.9g"}
+    plotter.show_bounds(bounds=box, axes_ranges=ranges, **shown, **look)
+    plotter.view_isometric()
+    plotter.camera.zoom(0.7)
+    plotter.camera.SetWindowCenter(0, -0.15)  # the scale is below, the viewer's buttons are above
+    return plotter
+
+
+def _add_shaded(plotter, points, values, label, limit):
+    """Draw points shaded by a value, with a scale."""
     marks, cmap = np.array([-1, 0, 1]) * (limit or 0), plots.DIVERGING_MAP
     if limit is None:
         marks, cmap = _round_ticks(np.nanmin(values), np.nanmax(values)), plots.MAP
     bar = {"title": f"{label}\n", "n_labels": len(marks), "fmt": "%.4g", "position_x": 0.2}
     shades = {"scalars": values, "clim": marks[[0, -1]], "cmap": cmap, "point_size": 4}
-    plotter.add_points(pyvista.PolyData(local), **shades, scalar_bar_args=bar)
-    extent, box, shown = np.ptp(local, axis=0), [], {}
-    for axis, title, length in zip("xyz", TITLES, extent, strict=True):
-        room = length >= 0.1 * extent.max()  # for numbers
-        ticks = _round_ticks(0.0, length, round(5 * length / extent.max()))
-        box += [0.0, ticks[-1] if room else length]
-        shown |= {f"{axis}title": title if room else " ", f"show_{axis}axis": room}
-        shown |= {f"show_{axis}labels": room, f"n_{axis}labels": len(ticks)}
-    plotter.show_bounds(bounds=box, **shown, font_size=12, location="outer", fmt="%g")
-    plotter.view_isometric()
-    plotter.camera.zoom(0.7)
-    plotter.camera.SetWindowCenter(0, -0.15)  # the scale is below, the viewer's buttons are above
-    return plotter
+    plotter.add_points(points, **shades, scalar_bar_args=bar)
 
 
 def _round_ticks(low, high, most=4):

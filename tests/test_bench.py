@@ -7,6 +7,7 @@ import warnings
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
@@ -422,3 +423,24 @@ def test_command_refuses_in_one_sentence(method, sentence, call):
     status, out, err = call(f"--method {method}")
     assert (status, out, len(err.splitlines())) == (2, "", 1)
     assert sentence in err
+
+
+def test_a_method_stands_at_one_place_in_all_panels():
+    tables = {
+        "p": pd.DataFrame({"method": ["a", "b"], "p": [1.0, 2], "low": [0, 1], "high": [2, 3]}),
+        "q": pd.DataFrame({"method": ["b", "a"], "q": [4.0, 3], "low": [3, 2], "high": [5, 4]}),
+    }
+    figure = bench.plot_tables(tables)
+    names = [text.get_text() for text in figure.axes[0].get_yticklabels()]
+    for ax, at in zip(figure.axes, ({"a": 1, "b": 2}, {"a": 3, "b": 4}), strict=True):
+        marks = [line.get_xydata()[0] for line in ax.lines]
+        assert {names[int(y)]: x for x, y in marks} == at
+    plt.close(figure)
+
+
+def test_a_part_of_the_results_has_a_table_and_its_failures_too():
+    with warnings.catch_warnings(action="ignore"):
+        results = bench.run([{"n": 3}], {"a": abs, "b": str}, make=lambda n, seed: n, seeds=(1, 2))
+    assert len(bench.cell_table(results.sel({"method": "a"}))) == 2
+    one = bench.failures(results.sel({"method": "b", "seed": 2}))
+    assert one[["method", "count"]].values.tolist() == [["b", 1]]

@@ -1,7 +1,9 @@
 """What a run of a study leaves behind."""
 
+import hashlib
 import json
 import re
+from datetime import datetime
 
 import matplotlib.pyplot as plt
 import nbformat
@@ -394,3 +396,16 @@ def test_parameters_come_from_the_notebook_of_that_name(tmp_path, monkeypatch):
         nbformat.write(nbformat.v4.new_notebook(cells=[cell]), tmp_path / f"{name}.ipynb")
     run = Run("poles", parameters={"of_06_poles": 1})
     assert read_record(run.folder)["parameters"] == {"of_06_poles": 1}
+
+
+def test_a_report_tells_files_of_one_name_apart_and_when_it_was_written(tmp_path):
+    files = [tmp_path / part / "cloud.xyz" for part in ("a", "b")]
+    for number, file in enumerate(files):
+        file.parent.mkdir()
+        file.write_text(str(number))
+    pages.write_report(tmp_path / "r.html", title="Two", files=files)
+    text = (tmp_path / "r.html").read_text()
+    for number, file in enumerate(files):
+        assert str(file) in text
+        assert hashlib.sha256(str(number).encode()).hexdigest() in text
+    assert f"{datetime.now():%Y-%m-%d}" in text

@@ -103,3 +103,11 @@ def test_a_machine_of_half_the_speed_takes_twice_as_long(monkeypatch):
     times = iter([10.0, 11.0, 20.0, 22.0])
     monkeypatch.setattr("time.process_time", lambda: next(times))
     assert 2 * machine_speed() == machine_speed() > 0
+
+
+@pytest.mark.parametrize("study", [*STUDIES, *TOOLS], ids=lambda study: study.stem)
+def test_no_cell_shows_a_representation_and_the_language_is_whole(study):
+    notebook = nbformat.read(study.path, as_version=4)
+    shown = [out for cell in notebook.cells for out in cell.get("outputs", [])]
+    assert not [out for out in shown if "<matplotlib" in out.get("data", {}).get("text/plain", "")]
+    assert len(notebook.metadata["language_info"]) > 3  # or JupyterLab fills it in on opening

@@ -12,7 +12,7 @@ from conftest import loaded, stored
 from IPython.core.inputtransformer2 import TransformerManager
 
 from mmqa_lab.__main__ import main
-from mmqa_lab.run import students
+from mmqa_lab.run import exercises, students
 from mmqa_lab.run.exercises import ASKED, student_cell
 from mmqa_lab.run.pages import TEMPLATES
 from mmqa_lab.run.students import write_solutions, write_student_notebooks
@@ -296,3 +296,24 @@ def test_a_cell_that_reads_what_a_student_has_not_done_is_found(monkeypatch):
     assert missing_names(notebook) == {"drawn", "total_m", "kept"}
     monkeypatch.setattr(students, "_waiting", lambda cell: cell.source)
     assert missing_names(notebook) == {"number", "total_m", "kept"}
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("'3,5'", "1: right."),
+        ("'3.5'", "1: right."),
+        ("3500", "Exercise 1: it is right times 0.001. Check the unit of width_m."),
+        ("3.5e6", "Exercise 1: it is right times 1e-06. Check the unit of width_m."),
+        ("4", "Exercise 1: not right yet. Check the formula, and the unit of width_m."),
+        ("None", "Exercise 1: cannot be checked: width_m is of type NoneType."),
+    ],
+)
+def test_a_hint_says_what_is_wrong_with_an_answer(given, said, capsys):
+    text = student_cell("# 1: halve it\nwidth_m = 7 / 2\n# check\nassert abs(width_m - 3.5) < 0.01")
+    scope = {}
+    try:
+        exec(text.replace("width_m = ...", f"width_m = {given}"), scope)
+    except exercises.NotRight as error:
+        print(*error._render_traceback_())
+    assert capsys.readouterr().out.startswith(said)

@@ -1,5 +1,7 @@
 """The jury's form without a browser: order, marks on disk, several jurors."""
 
+import threading
+
 import cv2
 import numpy as np
 import pandas as pd
@@ -88,3 +90,21 @@ def test_a_file_that_holds_something_else_is_kept(form, tmp_path):
     assert file.read_text() == "name,age\nx,1\n"
     with pytest.raises(ValueError, match="Invalid mark 'd'"):
         widgets.JuryForm(CROPS, juror="first", file=tmp_path / "other.csv").mark("d")
+
+
+def test_jurors_who_mark_at_the_same_time_lose_no_mark(tmp_path):
+    file, crops = tmp_path / "marks.csv", {f"t{k}": np.ones((4, 9)) for k in range(20)}
+    forms = [widgets.JuryForm(crops, juror=name, file=file) for name in ("a", "b", "c")]
+    threads = [threading.Thread(target=lambda f=f: [f.mark("a") for _ in crops]) for f in forms]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    marks = pd.read_csv(file)
+    assert len(marks) == len(marks.drop_duplicates(["juror", "element"])) == 60
+
+
+@pytest.mark.parametrize("name", [1, "", " "])
+def test_a_crop_needs_a_name(tmp_path, name):
+    with pytest.raises(ValueError, match="Invalid name of a crop"):
+        widgets.JuryForm({name: np.eye(3)}, juror="first", file=tmp_path / "marks.csv")

@@ -109,11 +109,12 @@ def plot_tables(tables: Mapping[str, pd.DataFrame], *, own: Sequence[str] = ()) 
     -------
     matplotlib.figure.Figure
     """
-    methods = next(iter(tables.values()))["method"].tolist()
+    methods = list(dict.fromkeys(name for table in tables.values() for name in table["method"]))
     size, shared = 22 + 5.5 * len(methods), {"sharey": True, "squeeze": False}
     figure, axes = plots.subplots(1, len(tables), width="double", height_mm=size, **shared)
     for ax, (name, table) in zip(axes[0], tables.items(), strict=True):
-        for place, (method, mean, low, high) in enumerate(table.iloc[:, :4].to_numpy()):
+        for method, mean, low, high in table.iloc[:, :4].to_numpy():
+            place = methods.index(method)
             colour = plots.COLOURS["vermilion" if method in own else "blue"]
             ax.hlines(place, low, high, color=colour, lw=1.5)
             ax.plot(mean, place, "D" if method in own else "o", ms=4, color=colour, mfc="white")

@@ -167,6 +167,8 @@ def cell_table(results: xr.Dataset) -> pd.DataFrame:
     >>> cell_table(results)[["method", "n", "seed", "value"]].values.tolist()
     [['double', 3, 0, 6.0], ['double', 4, 0, 8.0]]
     """
+    for name in RESERVED[:1] + RESERVED[2:3]:  # of a part of the results it is one value
+        results = results if name in results.dims else results.expand_dims(name)
     others = [name for name in results.dims if name != "method"]
     return results.to_dataframe(dim_order=["method", *others]).reset_index()
 

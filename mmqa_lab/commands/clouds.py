@@ -7,6 +7,7 @@ from mmqa_lab.commands.machine import (
     FIGURE_ENDINGS,
     check_ending,
     each_file,
+    say_shown,
     table,
     write_figure,
 )
@@ -66,6 +67,7 @@ def evaluate(
     rho0: float | None = None,
     axes: str | None = None,
     radius: float = 0.5,
+    thickness: float = 0.1,
     intervals: bool = False,
     detail: float | None = None,
     metrics: str | None = None,
@@ -91,6 +93,8 @@ def evaluate(
         Axes of the quadrants: principal, horizontal, or the principal ones turned by degrees.
     radius
         Largest distance of a neighbour, m.
+    thickness
+        Largest distance of a point from the plane of the outline, m.
     intervals
         Print a row for each figure with its 95 % confidence interval, and a doubt where it has one.
     detail
@@ -111,7 +115,7 @@ def evaluate(
     check_ending(out, "figure", FIGURE_ENDINGS)
     turned = float(axes) if axes and re.fullmatch(r"-?(\d+\.?\d*|\.\d+)", axes) else axes
     chosen = metrics_of(metrics)
-    choices = {"axes": turned, "radius": radius, "rho0": rho0}
+    choices = {"axes": turned, "radius": radius, "rho0": rho0, "thickness": thickness}
     done = []
 
     def measured(file):
@@ -138,6 +142,7 @@ def evaluate(
 
     frame = each_file(clouds, "cloud", measured)
     if out is not None:
+        say_shown(out, frame, "cloud")
         write_figure(out, lambda: done[-1].plot(detail=detail))
     return frame
 

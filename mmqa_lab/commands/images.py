@@ -8,6 +8,7 @@ from mmqa_lab.commands.machine import (
     FIGURE_ENDINGS,
     check_ending,
     each_file,
+    say_shown,
     table,
     write_figure,
 )
@@ -104,6 +105,7 @@ def image(
 
     frame = each_file(images, "image", measured, remark="remark")
     if out is not None:
+        say_shown(out, frame, "image")
         write_figure(out, lambda: _two_panels(done[-1]))
     return frame
 

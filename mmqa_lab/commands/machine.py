@@ -23,7 +23,7 @@ from mmqa_lab._results import printed
 
 __all__ = [
     "FIGURE_ENDINGS", "app", "as_json", "as_text", "check_ending", "each_file", "heard", "progress",
-    "run", "sentence_of", "table", "write_figure",
+    "run", "say_shown", "sentence_of", "table", "write_figure",
 ]  # fmt: skip
 
 # Columns of a terminal that tables fit into.
@@ -269,6 +269,14 @@ def check_ending(path, name, endings):
     """Raise before any work if an output has a wrong ending."""
     if path is not None and path.suffix.lower() not in endings:
         raise ValueError(f"Invalid {name} {path}. Must end in {', '.join(endings)}.")
+
+
+def say_shown(path, frame, column):
+    """Warn where a figure is not of the last file, because that one failed."""
+    figures = frame.drop(columns=[column, "remarks", "remark"], errors="ignore")
+    shown = frame[column][figures.notna().any(axis=1)].iloc[-1]
+    if shown != frame[column].iloc[-1]:
+        warnings.warn(f"{path} shows {shown}.", stacklevel=2)
 
 
 def write_figure(path, draw):

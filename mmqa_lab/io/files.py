@@ -8,6 +8,7 @@ import os
 import re
 import secrets
 import shutil
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -15,7 +16,7 @@ import pandas as pd
 
 from mmqa_lab._checks import check_kind, full_path
 
-__all__ = ["own_folder", "plain_text", "reading", "write_atomically"]
+__all__ = ["alone", "own_folder", "plain_text", "reading", "write_atomically"]
 
 # Bytes at the beginning of a text file that tell its letters.
 HEAD = 65_536
@@ -92,6 +93,28 @@ def _writing(path):
         short = full or not error.strerror  # as numpy says of a write that ended early
         found = "no space is left" if short else error.strerror
         raise OSError(f"Invalid file {path}: {found}. Must be writable.") from error
+
+
+@contextlib.contextmanager
+def alone(path: str | os.PathLike, seconds: float = 10.0) -> Iterator[None]:
+    """Hold a file that others read, change and write as well, by a lock beside it.
+
+    A lock that is older than so many seconds was left behind, and is taken over.
+    """
+    lock, until = Path(f"{path}.lock"), time.monotonic() + seconds
+    lock.parent.mkdir(parents=True, exist_ok=True)
+    while True:
+        try:
+            lock.touch(exist_ok=False)
+            break
+        except FileExistsError:
+            if time.monotonic() > until:
+                lock.unlink(missing_ok=True)
+            time.sleep(0.01)
+    try:
+        yield
+    finally:
+        lock.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager

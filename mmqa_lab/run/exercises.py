@@ -100,16 +100,33 @@ def check_answer(sealed, scope):
     missing = [name for name in answers if scope.get(name, ...) is ...]
     if missing:
         raise NotRight(f"{number}: give {missing[0]} a value.")
+    scope = dict(scope)
+    for name in answers:  # as it is written where decimals stand behind a comma
+        if isinstance(scope[name], str):
+            with contextlib.suppress(ValueError):
+                scope[name] = float(scope[name].replace(",", "."))
     try:
         exec(check, dict(scope))
     except AssertionError as error:
-        listed = ", ".join(name for name in answers if name != NUMBER)
-        usual = f"not right yet. Check the formula, and the unit of {listed}."
+        named = [name for name in answers if name != NUMBER]
+        usual = f"not right yet. Check the formula, and the unit of {', '.join(named)}."
+        for power in (-9, -6, -3, -2, 2, 3, 6, 9):
+            if named and _holds(check, scope, named, 10.0**power):
+                unit = f"it is right times {10.0**power:g}"
+                raise NotRight(f"{number}: {unit}. Check the unit of {', '.join(named)}.") from None
         raise NotRight(f"{number}: {str(error) or usual}") from None
-    except Exception as error:  # the work may have any type
-        what = f"the check cannot be worked out with this: {type(error).__name__}: {error}."
-        raise NotRight(f"{number}: {what}") from None
+    except Exception:  # the work may have any type
+        kinds = ", ".join(f"{name} is of type {type(scope[name]).__name__}" for name in answers)
+        raise NotRight(f"{number}: cannot be checked: {kinds}. Give numbers or arrays.") from None
     print(f"{number}: right.")
+
+
+def _holds(check, scope, names, factor):
+    """Whether a check holds for the answers times a factor."""
+    with contextlib.suppress(Exception):
+        exec(check, scope | {name: np.asarray(scope[name], dtype=float) * factor for name in names})
+        return True
+    return False
 
 
 def work_out(tasks, scope):

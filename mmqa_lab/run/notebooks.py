@@ -165,12 +165,20 @@ def code_hash(notebook):
 
 def _lightened(ran, kept):
     """The notebook with its outputs, without widgets and stderr, and with small pictures."""
-    ran.metadata = {**kept.metadata, "mmqa_lab": {"code": code_hash(ran)}}
+    language = {"language_info": ran.metadata.get("language_info", {})}  # else JupyterLab adds it
+    ran.metadata = {**kept.metadata, **language, "mmqa_lab": {"code": code_hash(ran)}}
     for cell, plain in zip(ran.cells, kept.cells, strict=True):
         cell.metadata = plain.metadata
         if cell.cell_type == "code":
-            cell.outputs = [_small(out) for out in cell.outputs if out.get("name") != "stderr"]
+            shown = [out for out in cell.outputs if out.get("name") != "stderr"]
+            cell.outputs = [_small(out) for out in shown if not _is_representation(out)]
     return ran
+
+
+def _is_representation(output):
+    """Whether an output is an object's name and address alone, as of a legend."""
+    data = output.get("data", {})
+    return set(data) == {"text/plain"} and data["text/plain"].lstrip("[").startswith("<")
 
 
 def _small(output):

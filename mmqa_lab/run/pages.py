@@ -10,6 +10,7 @@ import functools
 import hashlib
 import re
 import shutil
+from datetime import datetime
 from html import escape
 from pathlib import Path
 
@@ -197,13 +198,14 @@ def write_report(path, *, title, sentences=(), tables=(), figures=(), files=()):
     contents = {caption: Path(file).read_bytes() for caption, file in dict(figures).items()}
     pictures = {caption: base64.b64encode(png).decode() for caption, png in contents.items()}
     tables, files = dict(tables), map(Path, files)
-    hashes = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
-    if hashes:
-        tables["Files"] = pd.DataFrame(hashes.items(), columns=["file", "SHA-256"])
+    rows = [(str(file.resolve()), hashlib.sha256(file.read_bytes()).hexdigest()) for file in files]
+    if rows:
+        tables["Files"] = pd.DataFrame(rows, columns=["file", "SHA-256"])
     style = {"index": False, "border": 0, "na_rep": ""}
     rows = {heading: printed(table).to_html(**style) for heading, table in tables.items()}
     whole = {"title": title, "sentences": sentences, "tables": rows, "pictures": pictures}
-    write_atomically(path, filled("report.html", **whole, version=__version__))
+    whole |= {"date": f"{datetime.now():%Y-%m-%d %H:%M}", "version": __version__}
+    write_atomically(path, filled("report.html", **whole))
 
 
 def filled(name, **values):

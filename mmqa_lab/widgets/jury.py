@@ -12,10 +12,11 @@ import numpy as np
 import pandas as pd
 from IPython.display import Image, display
 
-from mmqa_lab._checks import check_choice
+from mmqa_lab._checks import check_choice, refuse
 from mmqa_lab.chart_image import MARKS, check_marks
 from mmqa_lab.charts import encode
 from mmqa_lab.io import write_atomically
+from mmqa_lab.io.files import alone
 from mmqa_lab.views import is_headless
 
 __all__ = ["LARGEST_ZOOM", "JuryForm"]
@@ -65,6 +66,8 @@ class JuryForm:
 
     def __init__(self, crops: Mapping[str, Any], *, juror: str, file: str | os.PathLike):
         self._juror, self._file, self._crops = juror.strip(), Path(file), dict(crops)
+        odd = [name for name in crops if not isinstance(name, str) or not name.strip()]
+        refuse(odd, "name of a crop", repr(odd[0]) if odd else "", "a text that is not empty")
         self._picture = ipywidgets.Image(format="png", layout={"object_fit": "none"})
         self._line = ipywidgets.Label()
         self._buttons = [ipywidgets.Button(description=text) for text in MEANINGS.values()]
@@ -92,7 +95,8 @@ class JuryForm:
         check_choice(mark, "mark", MARKS)
         if (element := self.element) is not None:
             row = {"juror": self._juror, "element": element, "mark": mark}
-            write_atomically(self._file, pd.concat([self.marks, pd.DataFrame([row])]))
+            with alone(self._file):  # other jurors write into it, too
+                write_atomically(self._file, pd.concat([self.marks, pd.DataFrame([row])]))
             self._show()
 
     def _ipython_display_(self):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,6 +10,7 @@ import ipywidgets
 import numpy as np
 import pandas as pd
 
+from mmqa_lab import io
 from mmqa_lab.chart_cloud import CloudQuality
 from mmqa_lab.widgets.screen import WIDE, in_turn
 
@@ -94,6 +96,20 @@ class Kept:
         whole.insert(0, "cloud", whole.pop("cloud"))
         whole.insert(0, "selection", list(self.selections))
         return whole
+
+    def write(self, path: str | os.PathLike) -> None:
+        """Write the polygons with their names, as GeoPackage (.gpkg) or GeoJSON (.geojson)."""
+        crs = self._tool.crs_of(self._tool.name)
+        polygons = {name: one.polygon for name, one in self.selections.items()}
+        io.write_outlines(path, polygons, crs=crs)
+
+    def read(self, path: str | os.PathLike) -> None:
+        """Keep the polygons of a file under their names, each on the plane that it lies on."""
+        crs = self._tool.crs_of(self._tool.name)
+        for name, polygon in io.read_outlines(path, crs=crs):
+            self._tool.choose(self._tool.name, self._tool.plane_at(polygon))
+            self._tool.select(polygon)
+            self.keep(name)
 
     def _changed(self, name):
         """Show the list, and the outlines in the picture."""

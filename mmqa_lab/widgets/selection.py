@@ -216,8 +216,8 @@ class SelectionTool:
         """Call a function with this tool now and after every change of the selection.
 
         It can be used as a decorator. The tool shows the output of the function. With ``button``,
-        the text of a button, a change clears the output, and the function is called again only when
-        the button is pressed.
+        the text of a button, the function is called when the button is pressed, and a change clears
+        its output; without a screen it is called once.
         """
         if function is None:
             return lambda decorated: self.follow(decorated, button=button)
@@ -238,7 +238,8 @@ class SelectionTool:
             printed = {"output_type": "stream", "name": "stdout", "text": said.stdout}
             output.outputs = ((printed,) if said.stdout else ()) + tuple(shown)
 
-        again()
+        if not button:  # what a button does, nobody has asked for yet
+            again()
 
         def cleared():
             """Show nothing."""
