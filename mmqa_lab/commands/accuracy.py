@@ -100,7 +100,8 @@ def calibrate(
     drives
         Cloud files with GPS time (LAS or LAZ), one for each drive.
     trajectory
-        CSV file of the path (position, roll, pitch, heading), one for each drive or one for all.
+        Path (position, roll, pitch, heading), one for each drive or one for all: CSV, SBET, text of
+        POSPac or Inertial Explorer, TUM or EuRoC.
     lever_arm
         Assumed lever arm X,Y,Z of a head, m, once for each head. Without it, 0,0,0.
     control
@@ -122,7 +123,9 @@ def calibrate(
         check_outputs([out / name for name in names], inputs)
     with nullcontext() if out is None else io.own_folder(out):
         clouds = [io.read_cloud(file) for file in progress(drives, "cloud")]
-        paths = [Trajectory.from_table(io.read_trajectory(file)) for file in trajectory]
+        crs = clouds[0].crs
+        read = [io.read_trajectory(file, crs=crs) for file in trajectory]
+        paths = [Trajectory.from_table(one) for one in read]
         paths = paths * len(clouds) if len(paths) == 1 else paths
         unlike = len(paths) != len(clouds)
         refuse(unlike, "trajectories", str(len(paths)), "one, or one for each drive")

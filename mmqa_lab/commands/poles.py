@@ -53,7 +53,7 @@ def poles(
         parts.append(Cloud(cloud.points, head | dict(cloud.columns), file.stem, crs=cloud.crs))
     path = None
     if trajectory is not None:
-        path = io.read_trajectory(trajectory)[["easting_m", "northing_m"]].to_numpy()
+        path = io.read_trajectory(trajectory, crs=parts[0].crs)[["easting_m", "northing_m"]]
     found = poles.detect(Cloud.concatenate(parts), method=method)
     if reference is None:
         return found

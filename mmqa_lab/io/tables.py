@@ -31,6 +31,9 @@ __all__ = [
     "text_table", "with_numbers",
 ]  # fmt: skip
 
+# Paths of TUM have no header.
+TUM_COLUMNS = ["time", "x", "y", "z", "qx", "qy", "qz", "qw"]
+
 SEGMENT_COLUMNS = ["x1", "y1", "z1", "x2", "y2", "z2"]
 UNNAMED_SIX = ["x", "y", "z", "column_4", "column_5", "column_6"]
 
@@ -83,8 +86,10 @@ def text_table(path: str | os.PathLike, name: str, *, header: str = "") -> pd.Da
         names, titles = _header(words[:above])
         if titles:
             warnings.warn(f"Passed over what stands above the header of {what}.", stacklevel=4)
-    elif len(coordinate_columns(names)) < 3:
+    elif len(coordinate_columns(names)) < 3 and not (header and len(names) == usual):
         names = None
+    if header and names is None and usual == len(TUM_COLUMNS):
+        names = TUM_COLUMNS
     if header and names is None:
         raise ValueError(f"Invalid {what}: no header. Must have one with {header}.")
     layout = {"header": None, "sep": separator, "before": raw.count(b"\n", 0, first)}

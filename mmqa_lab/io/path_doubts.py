@@ -1,0 +1,78 @@
+"""What speaks against a path in metres, seconds and degrees from north."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+
+from mmqa_lab._checks import refuse
+
+__all__ = ["check_headings", "check_scales"]
+
+# Headings so far off the movement are none; from here on they are doubted.
+OTHER_HEADING_DEG, DOUBTED_HEADING_DEG = 45.0, 1.0
+
+# So near is another reading of headings right; fewer rows that move tell nothing.
+SAME_HEADING_DEG, FEWEST_MOVES = 2.0, 5
+
+# No survey's vehicle is as fast or as slow, m/s; times as long as these are no seconds.
+FASTEST_M_S, SLOWEST_M_S = 300.0, 0.1
+LONGEST_S = 1e10
+
+
+def check_headings(table, what):
+    """Compare headings with the movement: say it from 1 degree off, raise from 45 degrees.
+
+    Also raise where they agree in another reading.
+    """
+    if "heading_deg" not in table:
+        return
+    steps = table[["easting_m", "northing_m"]].diff()[1:].to_numpy()
+    length = np.hypot(*steps.T)
+    moves = length > 0.2 * np.median(length[length > 0]) if length.any() else length > 0
+    given = table["heading_deg"].to_numpy()[1:][moves]
+    if len(given) < FEWEST_MOVES:
+        return
+    course = np.degrees(np.arctan2(*steps[moves].T))
+    off = _off(given, course)
+    readings = {
+        "radians": _off(np.degrees(given), course),
+        "gon": _off(0.9 * given, course),
+        "angles from east, anticlockwise": _off(90 - given, course),
+        "directions against the movement": _off(given + 180, course),
+        "headings beside northing as x": _off(given, 90 - course),
+    }
+    near = [name for name, other in readings.items() if np.abs(other).mean() < SAME_HEADING_DEG]
+    near = near[:1] if np.abs(off).mean() > SAME_HEADING_DEG else []
+    middle = float(np.median(off))
+    told = f"headings lie {np.median(np.abs(off)):.1f} degrees off the movement"
+    told += f", and look like {near[0]}" if near else ""
+    other = near or np.median(np.abs(off)) >= OTHER_HEADING_DEG
+    refuse(other, what, told, "clockwise from north, in degrees")
+    if abs(middle) >= DOUBTED_HEADING_DEG:
+        warnings.warn(f"{told[0].upper()}{told[1:]} in {what}.", stacklevel=3)
+
+
+def check_scales(table, what):
+    """Raise where the speed of a path shows that it is not in metres and seconds."""
+    time = table["time_s"].to_numpy()
+    refuse(time.max() > LONGEST_S, what, f"times of {time.max():.4g}, as of ns or us", "in seconds")
+    places = table[["easting_m", "northing_m"]].to_numpy()
+    steps, seconds = np.hypot(*np.diff(places, axis=0).T), np.diff(time)
+    moves = steps > 0.2 * steps.max(initial=0)
+    if not moves.any():
+        return
+    speed = float(np.median(steps[moves] / seconds[moves]))
+    globe = np.abs(places).max() <= 180 and np.ptp(places, axis=0).max() < 1
+    refuse(
+        globe and speed < SLOWEST_M_S / 10, what, "it looks like degrees", "projected, in metres"
+    )
+    refuse(speed > FASTEST_M_S, what, f"a speed of {speed:.0f} m/s, as in mm", "in metres")
+    whole = (time == np.round(time)).all() and np.median(seconds) >= 10
+    refuse(whole and speed < SLOWEST_M_S, what, "times that look like ms", "in seconds")
+
+
+def _off(given, course):
+    """Differences of directions, -180 to 180 degrees."""
+    return (given - course + 180) % 360 - 180
