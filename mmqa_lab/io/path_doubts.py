@@ -18,7 +18,7 @@ SAME_HEADING_DEG, FEWEST_MOVES = 2.0, 5
 
 # No survey's vehicle is as fast or as slow, m/s; times as long as these are no seconds.
 FASTEST_M_S, SLOWEST_M_S = 300.0, 0.1
-LONGEST_S = 1e10
+LATEST_S = 1e10
 
 
 def check_headings(table, what):
@@ -57,7 +57,7 @@ def check_headings(table, what):
 def check_scales(table, what):
     """Raise where the speed of a path shows that it is not in metres and seconds."""
     time = table["time_s"].to_numpy()
-    refuse(time.max() > LONGEST_S, what, f"times of {time.max():.4g}, as of ns or us", "in seconds")
+    refuse(time.max() > LATEST_S, what, f"times of {time.max():.4g}, as of ns or us", "in seconds")
     places = table[["easting_m", "northing_m"]].to_numpy()
     steps, seconds = np.hypot(*np.diff(places, axis=0).T), np.diff(time)
     moves = steps > 0.2 * steps.max(initial=0)
