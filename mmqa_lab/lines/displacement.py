@@ -45,6 +45,7 @@ from mmqa_lab.lines.settings import (
     PATHS,
     RIVAL,
     TURN_RAD,
+    TURNED_PATHS,
     TURNS,
 )
 
@@ -239,10 +240,7 @@ def _matched(test, model, radius):
     none = np.zeros(lines.shape, dtype=bool)
     if len(lines.rows) < 3:
         return none, f"Fewer than three lines have a parallel one within {radius:g} m."
-    search = Search(lines, radius)
-    paths = islice(search.paths(), PATHS)
-    starts = [_retraced(lines, search, path, turn) for path in paths for turn in TURNS]
-    outcomes = [refined(lines, start) for start in starts]
+    outcomes = _outcomes(lines, Search(lines, radius))
     evidence, found, ends = max(outcomes, key=itemgetter(0))
     number, fewer = found.sum(), min(lines.shape)
     rivals = [other for other, them, _ in outcomes if (them & found).sum() < number / 2]
@@ -254,6 +252,16 @@ def _matched(test, model, radius):
         return none, "Two displacements with other pairs explain the lines nearly as well."
     few = f"Only {number} of {fewer} lines are paired: look at them." if share < FEW_SHARE else ""
     return found, few
+
+
+def _outcomes(lines, search):
+    """Evidence, pairs and the ends' part of it for paths by votes, each with turns of its sides."""
+    found, best = [], (0.0, 0.0)
+    for number, path in enumerate(islice(search.paths(), PATHS)):
+        for turn in TURNS if number < TURNED_PATHS else best[1:]:
+            found.append(refined(lines, _retraced(lines, search, path, turn)))
+            best = max(best, (found[-1][0], turn))
+    return found
 
 
 def _candidates(test, model, radius):

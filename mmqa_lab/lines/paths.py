@@ -13,6 +13,7 @@ from mmqa_lab.lines.settings import (
     CHANGED_M,
     ELSEWHERE_M,
     FINE_M,
+    LEAST_VOTES,
     MOST_STATIONS,
     MOST_VOTES,
     STATION_M,
@@ -66,10 +67,12 @@ class Search:
 
     def paths(self):
         """Yield vectors (stations, 3) of the best path, of the best one elsewhere, and so on."""
+        least = -np.inf
         while True:
             path, total = _best_path(self.votes, self.strides, *self.costs)
-            if total == -np.inf:
+            if total <= least:
                 return
+            least = max(least, LEAST_VOTES * total)
             yield self.moves[path]
             _forbid_around(self.votes, self.moves, path)
 

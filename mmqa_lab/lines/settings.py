@@ -3,10 +3,35 @@
 import numpy as np
 
 __all__ = [
-    "AGREE", "CHANGE", "CHANGED_M", "CLUTTER_ENDS_PER_M", "CLUTTER_PER_M2", "ELSEWHERE_M",
-    "ENDS_AGREE", "END_M", "FEW_EVIDENCE", "FEW_SHARE", "FINE_M", "FINE_RADIUS_M", "FIRST_NOISE_M",
-    "LEAST_EVIDENCE", "LEFT_M", "MOST_RADIUS_M", "MOST_RIVAL", "MOST_STATIONS", "MOST_VOTES",
-    "PATHS", "RIVAL", "STATION_M", "STEP_M", "TURNS", "TURN_RAD", "USUAL_CHANGE", "VOTE",
+    "AGREE",
+    "CHANGE",
+    "CHANGED_M",
+    "CLUTTER_ENDS_PER_M",
+    "CLUTTER_PER_M2",
+    "ELSEWHERE_M",
+    "ENDS_AGREE",
+    "END_M",
+    "FEW_EVIDENCE",
+    "FEW_SHARE",
+    "FINE_M",
+    "FINE_RADIUS_M",
+    "FIRST_NOISE_M",
+    "LEAST_EVIDENCE",
+    "LEAST_VOTES",
+    "LEFT_M",
+    "MOST_RADIUS_M",
+    "MOST_RIVAL",
+    "MOST_STATIONS",
+    "MOST_VOTES",
+    "PATHS",
+    "RIVAL",
+    "STATION_M",
+    "STEP_M",
+    "TURNED_PATHS",
+    "TURNS",
+    "TURN_RAD",
+    "USUAL_CHANGE",
+    "VOTE",
 ]  # fmt: skip
 
 
@@ -52,7 +77,7 @@ ENDS_AGREE, END_M, CLUTTER_ENDS_PER_M = 0.3, 0.15, 0.4
 
 
 # Number of paths compared, and their least distance at each station.
-PATHS, ELSEWHERE_M = 3, 0.8
+PATHS, TURNED_PATHS, LEAST_VOTES, ELSEWHERE_M = 8, 3, 0.75, 0.8
 
 
 # Least evidence per pair; the share of the smaller set below which there is a remark.
