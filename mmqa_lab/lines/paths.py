@@ -163,6 +163,19 @@ def _vote(votes, lines, moved, moves, step, shares):
         place = (row[:, None] * side + cells[..., 0] + half) * side + cells[..., 1] + half
         each = np.zeros((len(rows), side * side), dtype=np.float32)
         np.maximum.at(each.ravel(), place[inside], np.round(32 * value[inside]) / 32)
-        at = (np.round(moves @ frame.T).astype(int) + half) @ [side, 1]
-        for station, plane in zip(votes, shares[:, rows] @ each, strict=True):
-            station += plane[at]
+        _add_planes(votes, shares[:, rows] @ each, moves, frame, half)
+
+
+@njit(cache=True, nogil=True)
+def _add_planes(votes, planes, moves, frame, half):
+    """Add the votes of a plane of each station to the moves that are sought there."""
+    at = np.empty(len(moves), np.int64)
+    for k in range(len(moves)):
+        x, y, z = moves[k]
+        across = int(np.rint(x * frame[0, 0] + y * frame[0, 1] + z * frame[0, 2])) + half
+        up = int(np.rint(x * frame[1, 0] + y * frame[1, 1] + z * frame[1, 2])) + half
+        at[k] = across * (2 * half + 1) + up
+    for station in range(len(votes)):
+        for k in range(len(at)):
+            if votes[station, k] >= 0:
+                votes[station, k] += planes[station, at[k]]
