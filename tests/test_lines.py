@@ -303,3 +303,18 @@ def test_reasons_for_no_displacement_are_said():
     same = match_displaced(lines, lines)
     assert (same.n, same.remarks) == (12, ())
     assert "remarks" not in same.to_frame()
+
+
+def test_equal_bays_give_no_answer_a_bay_aside():
+    """Columns 3.2 m apart, a thin and a dense survey: other bays explain nearly as much."""
+    for seed in range(3):
+        rng = np.random.default_rng([seed, 32])
+        column = np.array([[[0, 0, 0], [0, 0, 3.6]], [[0, 0.5, 0], [0, 0.5, 3.6]]])
+        beam = np.array([[[0, 0.9, 4.6], [0, 2.6, 4.6]], [[0, 0.9, 6.4], [0, 2.6, 6.4]]])
+        steps = [[side, 3.2 * k, 0] for side in (-7.5, 7.5) for k in range(16)]
+        every = np.concatenate([np.concatenate([column, beam]) + step for step in steps])
+        model = every[rng.random(len(every)) < 0.85]
+        test = every[rng.random(len(every)) < 0.35] + [1.0, -2.4, 0.0]
+        test, model = (ends + rng.normal(0, 0.02, ends.shape) for ends in (test, model))
+        found = match_displaced(test, model)
+        assert found.n == 0 or np.linalg.norm(found.vector - [1.0, -2.4, 0.0]) < 0.3

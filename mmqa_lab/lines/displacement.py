@@ -40,12 +40,13 @@ from mmqa_lab.lines.settings import (
     FEW_SHARE,
     FINE_RADIUS_M,
     LEAST_EVIDENCE,
+    LEAST_VOTES,
+    MOST_PATHS,
     MOST_RADIUS_M,
     MOST_RIVAL,
     PATHS,
     RIVAL,
     TURN_RAD,
-    TURNED_PATHS,
     TURNS,
 )
 
@@ -241,7 +242,8 @@ def _matched(test, model, radius):
     if len(lines.rows) < 3:
         return none, f"Fewer than three lines have a parallel one within {radius:g} m."
     outcomes = _outcomes(lines, Search(lines, radius))
-    evidence, found, ends = max(outcomes, key=itemgetter(0))
+    # the others are rivals alone: of many paths one agrees by chance
+    evidence, found, ends = max(outcomes[: PATHS * len(TURNS)], key=itemgetter(0))
     number, fewer = found.sum(), min(lines.shape)
     rivals = [other for other, them, _ in outcomes if (them & found).sum() < number / 2]
     share = found.any(axis=1).sum() / fewer
@@ -256,9 +258,12 @@ def _matched(test, model, radius):
 
 def _outcomes(lines, search):
     """Evidence, pairs and the ends' part of it for paths by votes, each with turns of its sides."""
-    found, best = [], (0.0, 0.0)
-    for number, path in enumerate(islice(search.paths(), PATHS)):
-        for turn in TURNS if number < TURNED_PATHS else best[1:]:
+    found, best, most = [], (0.0, 0.0), 0.0
+    for number, (path, votes) in enumerate(islice(search.paths(), MOST_PATHS)):
+        most = max(most, votes)
+        if number >= PATHS and votes < LEAST_VOTES * most:
+            break
+        for turn in TURNS if number < PATHS else best[1:]:
             found.append(refined(lines, _retraced(lines, search, path, turn)))
             best = max(best, (found[-1][0], turn))
     return found
@@ -282,6 +287,6 @@ def _retraced(lines, search, path, turn):
     straight = powers @ np.linalg.pinv(powers) @ path
     again = lines.again(search.at(lines.place, straight, turn))
     fine = Search(again, FINE_RADIUS_M, search.at(again.place, straight, turn))
-    around = np.pad(straight + next(fine.paths()), ((1, 1), (0, 0)), mode="edge")
+    around = np.pad(straight + next(fine.paths())[0], ((1, 1), (0, 0)), mode="edge")
     smooth = (around[:-2] + 2 * around[1:-1] + around[2:]) / 4
     return partial(search.at, path=smooth, turn=turn)

@@ -13,7 +13,6 @@ from mmqa_lab.lines.settings import (
     CHANGED_M,
     ELSEWHERE_M,
     FINE_M,
-    LEAST_VOTES,
     MOST_STATIONS,
     MOST_VOTES,
     STATION_M,
@@ -66,14 +65,15 @@ class Search:
         self.costs = ((changes / USUAL_CHANGE) ** 2 / 2 / VOTE).astype(np.float32)
 
     def paths(self):
-        """Yield vectors (stations, 3) of the best path, of the best one elsewhere, and so on."""
-        least = -np.inf
+        """Yield vectors (stations, 3) of the best path, of the best one elsewhere, and so on.
+
+        With each its number of votes.
+        """
         while True:
             path, total = _best_path(self.votes, self.strides, *self.costs)
-            if total <= least:
+            if total == -np.inf:
                 return
-            least = max(least, LEAST_VOTES * total)
-            yield self.moves[path]
+            yield self.moves[path], total
             _forbid_around(self.votes, self.moves, path)
 
     def along(self, places):
