@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import re
 
 import numpy as np
 
+from mmqa_lab._checks import check_count, check_file, refuse
 from mmqa_lab.io.files import plain_text, reading
 
 __all__ = ["read_camera"]
@@ -18,6 +20,9 @@ OF_CAMERA = {
     "height": ("imageheight", "height"),
     "model": ("distortionmodel", "model"),
 }
+
+# Bytes of a camera's file, and how deep its parts lie in each other.
+LARGEST_CAMERA, DEEPEST = 1_000_000, 20
 
 # Numbers of distortion coefficients; names of OpenCV's model that has them.
 COEFFICIENTS = (4, 5, 8, 12, 14)
@@ -58,9 +63,12 @@ def read_camera(path: str | os.PathLike) -> tuple[np.ndarray, np.ndarray, tuple[
     >>> matrix[0].tolist(), distortion.tolist(), size
     ([900.0, 0.0, 320.0], [-0.1, 0.0, 0.0, 0.0], None)
     """
+    small = check_file(path, "camera").stat().st_size <= LARGEST_CAMERA
+    refuse(not small, f"camera {path}", "more than 1 MB", CALIBRATION)
     text = plain_text(path).decode()
     known = {}
     with reading(path, "camera", CALIBRATION):
+        _check_depth(text)
         found = _of_xml(text) if text.lstrip().startswith("<") else _of_yaml(text)
         for name, value in found.items():
             known |= {what: value for what, names in OF_CAMERA.items() if _short(name) in names}
@@ -83,9 +91,21 @@ def read_camera(path: str | os.PathLike) -> tuple[np.ndarray, np.ndarray, tuple[
     if (matrix != usual).any() or not (np.diag(matrix) > 0).all() or matrix[2, 2] != 1:
         wanted = "fx, 0, cx; 0, fy, cy; 0, 0, 1"
         raise ValueError(f"Invalid camera {path}: matrix {matrix.tolist()}. Must be {wanted}.")
-    width, height = known.get("width"), known.get("height")
-    size = None if width is None or height is None else (int(width), int(height))
-    return matrix, values[1], size
+    size = [known.get(side) for side in ("width", "height")]
+    if None in size:
+        return matrix, values[1], None
+    with reading(path, "camera", "calibrated for a picture of whole pixels"):
+        width, height = (check_count(float(side), "side") for side in size)
+    return matrix, values[1], (width, height)
+
+
+def _check_depth(text):
+    """Raise where parts of XML lie in each other so deep that a parser would end the process."""
+    depth = 0
+    for tag in re.finditer(r"<(/?)[A-Za-z][^<>]*?(/?)>", text):
+        depth += -1 if tag[1] else not tag[2]
+        if depth > DEEPEST:
+            raise ValueError("too deep")
 
 
 def _short(name):
@@ -98,7 +118,12 @@ def _of_yaml(text):
     import yaml
 
     class Loader(yaml.SafeLoader):
-        """Plain values, and OpenCV's tags as what they stand on."""
+        """Plain values, and OpenCV's tags as what they stand on; no aliases, which multiply."""
+
+        def compose_node(self, parent, index):
+            if self.check_event(yaml.events.AliasEvent):
+                raise ValueError("an alias")
+            return super().compose_node(parent, index)
 
     Loader.add_multi_constructor("", lambda loader, _, node: loader.construct_mapping(node, True))
     lines = [line for line in text.expandtabs().splitlines() if not line.startswith("%")]

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import re
+import struct
+import tempfile
+import threading
 import warnings
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +27,18 @@ IMAGES = "a complete JPEG, PNG or TIFF file of 8 or 16 bits"
 # Kinds of pages and of grey values in TIFF 6.0, and how each orientation is turned upright.
 MASK, WHITE_IS_ZERO, PALETTE, ORIENTATION = 4, 0, 3, 274
 ORIENTATIONS = {2: (0, 1), 3: (2, 0), 4: (2, 1), 5: (3, 1), 6: (3, 0), 7: (1, 1), 8: (1, 0)}
+
+# Values of a picture of 300 megapixels in colour: more are not decoded.
+MOST_VALUES = 9e8
+
+# Pages of a TIFF file that are compared with its first.
+LISTED_PAGES = 100
+
+# What libjpeg prints of a picture that it then fills up; the stream is that of the whole process.
+DAMAGED = re.compile(
+    rb"Corrupt JPEG data(?!: \d+ extraneous bytes before marker 0xd9)|Premature end"
+)
+DECODING = threading.Lock()
 
 # Markers of JPEG without a length (ISO 10918-1, B.1.1.3).
 BARE_MARKERS = (0x01, *range(0xD0, 0xD9), 0xFF)
@@ -109,11 +126,21 @@ def open_tiff(path, name, wanted):
 
 def first_page(path, file):
     """The first page of a TIFF file; that there are others of its size is said."""
-    page = file.pages[0]
-    same = sum(one.shape == page.shape and not one.subfiletype for one in file.pages)
+    with reading(path, "image", IMAGES):
+        page, same = file.pages[0], 0
+        _check_pixels(path, page.shape)
+        for one in file.pages[:LISTED_PAGES]:
+            same += one.shape == page.shape and not one.subfiletype
     if same > 1:
         warnings.warn(f"Read the first of {same} pages of {path}.", stacklevel=3)
     return page
+
+
+def _check_pixels(path, shape):
+    """Raise before a picture is decoded that needs more memory than a stranger's file may take."""
+    found = f"{' x '.join(map(str, shape))} values"
+    wrong = np.prod(shape, dtype=float) > MOST_VALUES
+    refuse(wrong, f"image {path}", found, f"at most {MOST_VALUES:.1g} values")
 
 
 def tiff_pixels(path, page, wanted):
@@ -132,6 +159,22 @@ def tiff_pixels(path, page, wanted):
     return pixels[..., order], True
 
 
+@contextlib.contextmanager
+def _printed_below():
+    """What a compiled library prints of its own on the stream of errors, as it decodes."""
+    printed = BytesIO()
+    with DECODING, tempfile.TemporaryFile() as file:
+        kept = os.dup(2)
+        os.dup2(file.fileno(), 2)
+        try:
+            yield printed
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+            file.seek(0)
+            printed.write(file.read())
+
+
 def _decoded(path, flags):
     """An image as OpenCV decodes it, which fills up what is missing of a JPEG or PNG file."""
     import cv2
@@ -143,10 +186,13 @@ def _decoded(path, flags):
         told = "linear in light" if abs(value - 1) < 0.01 else f"of gamma {value:.2g}"
         warnings.warn(f"{path} states that its values are {told}, not sRGB.", stacklevel=3)
     refuse(not _is_complete(data), f"image {path}", "cut short", IMAGES)
+    if data[:2] == b"\x89P":
+        _check_pixels(path, struct.unpack(">II", data[16:24].ljust(8, b"\0")))
     # OpenCV prints what it dislikes of a file; the sentence says it
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    with reading(path, "image", IMAGES):
+    with reading(path, "image", IMAGES), _printed_below() as printed:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)  # any letters in the path
+    refuse(DAMAGED.search(printed.getvalue()), f"image {path}", "damaged", IMAGES)
     refuse(pixels is None, f"image {path}", "no image that can be decoded", IMAGES)
     return pixels
 

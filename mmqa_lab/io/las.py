@@ -22,6 +22,9 @@ LAS_ENDINGS = (".las", ".laz")
 LEAST, LARGEST = -(2**31), 2**31 - 1
 LAS = "a complete LAS or LAZ file"
 
+# Points of a chunk of LAZ that need no file of as many.
+LARGEST_CHUNK = 1_000_000
+
 # Degrees per unit of the LAS 1.4 field ``scan_angle`` (LAS 1.4 R15, point formats 6-10).
 SCAN_ANGLE_STEP = 0.006
 
@@ -105,11 +108,37 @@ def _storable(name, values, field):
     return np.round(numbers / SCAN_ANGLE_STEP if angle else numbers).astype(np.int64)
 
 
+def _check_sizes(path):
+    """Raise where records or chunks are said to be larger than their file, before they are read.
+
+    A library believes what a header says, and works for hours on it or ends the process.
+    """
+    with Path(path).open("rb") as file:
+        head = file.read(375).ljust(375, b"\0")
+        length, at_points, count = struct.unpack_from("<HII", head, 94)
+        extended, more, points = (
+            struct.unpack_from("<QIQ", head, 235) if head[25] >= 4 else (0, 0, 0)
+        )
+        points = max(points, *struct.unpack_from("<I", head, 107))
+        size, chunk, place = Path(path).stat().st_size, 0, length
+        if length + 54 * count > min(at_points, size) or extended + 60 * more > size:
+            raise ValueError("more records than bytes")
+        for _ in range(count):
+            file.seek(place)
+            record = file.read(54).ljust(54, b"\0")
+            place += 54 + struct.unpack_from("<H", record, 20)[0]
+            if record[2:16] == b"laszip encoded":
+                chunk = struct.unpack_from("<I", file.read(16).ljust(16, b"\0"), 12)[0]
+        if place > at_points or (LARGEST_CHUNK < chunk < 2**32 - 1 and chunk > points):
+            raise ValueError("records behind the first point, or a chunk of more points than all")
+
+
 def las_pieces(path, chunk, columns):
     """The pieces of a LAS or LAZ file."""
     import laspy
 
     with reading(path, "cloud", LAS):
+        _check_sizes(path)
         reader = laspy.open(path)
     with reader:
         header, read = reader.header, 0

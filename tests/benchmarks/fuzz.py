@@ -1,0 +1,247 @@
+"""Damaged files, read one by one in a process with limits: nothing dies, nothing hangs.
+
+``python tests/benchmarks/fuzz.py`` makes 3,000 mutants of small files of every form that is read,
+by kind and seed, and counts what becomes of each: read, refused by a sentence, other words, death
+of the process, no answer. ``--count`` and ``--seed`` change how many and which.
+"""
+
+import argparse
+import collections
+import contextlib
+import json
+import os
+import random
+import resource
+import select
+import struct
+import subprocess
+import sys
+import tempfile
+import warnings
+from pathlib import Path
+
+LIMIT_BYTES, LIMIT_S = 2 * 2**30, 20
+KINDS = ("flip", "cut", "insert", "zero", "extreme", "swap", "word")
+WORDS = (b"nan", b"-1", b"1e999", b"99999999999999999999", b"", b"\xff\xfe", b"(" * 300, b"\0")
+WORDS += (b'"', b"<a>", b"&a;", b"[[[[", b"{}", b"2147483647", b"4294967295", b"inf", b"None")
+
+
+def seeds(folder):
+    """Small sound files of each form, by the reader that takes them."""
+    import cv2
+    import numpy as np
+    import pandas as pd
+    import pyproj
+    import tifffile
+
+    from mmqa_lab import io, samples
+    from mmqa_lab.cloud import Cloud
+
+    rng = np.random.default_rng(1)
+    cloud = Cloud(
+        rng.random((60, 3)) * 9, {"intensity": np.arange(60)}, crs=pyproj.CRS("EPSG:25832")
+    )
+    rows = "\n".join(" ".join(f"{one:.3f}" for one in row) for row in cloud.points)
+    head = "ply\nformat {} 1.0\nelement vertex 60\n" + "".join(
+        f"property float {name}\n" for name in "xyz"
+    )
+    ply = head.format("binary_little_endian") + "end_header\n"
+    grey = rng.integers(0, 255, (24, 32), dtype=np.uint8)
+    pages = folder / "page.tif"
+    tifffile.imwrite(pages, grey, compression="zlib")
+    dem = folder / "dem.tif"
+    scale, tie = (33550, "d", 3, (1.0, 1.0, 0.0)), (33922, "d", 6, (0.0, 0, 0, 500.0, 600, 0))
+    tifffile.imwrite(dem, grey.astype("f4"), extratags=[(*scale, True), (*tie, True)])
+    for ending in (".las", ".laz"):
+        io.write_cloud(folder / f"cloud{ending}", cloud)
+    ring = [[0, 0, 1], [4, 0, 1], [4, 4, 1], [0, 4, 1], [0, 0, 1]]
+    path = pd.DataFrame({"time": np.arange(9.0), "x": np.arange(9.0), "y": 0.0, "z": 2.0})
+    segments = pd.DataFrame(rng.random((7, 6)), columns=[*"abcdef"])
+    matrix = (
+        '<{0} type_id="opencv-matrix"><rows>{1}</rows><cols>{2}</cols><dt>d</dt>'
+        "<data>{3}</data></{0}>\n"
+    )
+    texts = {
+        "cloud.xyz": rows,
+        "cloud.csv": "x,y,z,name\n" + rows.replace(" ", ",").replace("\n", ",a\n"),
+        "cloud.pts": f"60\n{rows}",
+        "text.ply": head.format("ascii") + f"end_header\n{rows}\n",
+        "ring.geojson": json.dumps({"type": "Polygon", "coordinates": [ring]}),
+        "path.csv": path.to_csv(index=False),
+        "segments.csv": segments.to_csv(index=False, header=False),
+        "table.csv": "criterion,quantity,threshold\nd,density_per_m2,3000\nw,w_mm,20.5\n",
+        "camera.yaml": "image_width: 640\nimage_height: 480\ncamera_matrix: {rows: 3, cols: 3, "
+        "data: [500, 0, 320, 0, 500, 240, 0, 0, 1]}\ndistortion_coefficients: {rows: 1, cols: 5, "
+        "data: [0.1, 0, 0, 0, 0]}\n",
+        "camera.xml": '<?xml version="1.0"?>\n<opencv_storage>\n<image_width>640</image_width>\n'
+        "<image_height>480</image_height>\n"
+        + matrix.format("camera_matrix", 3, 3, "500. 0. 320. 0. 500. 240. 0. 0. 1.")
+        + matrix.format("distortion_coefficients", 1, 5, "0.1 0. 0. 0. 0.")
+        + "</opencv_storage>\n",
+    }
+    for name, text in texts.items():
+        (folder / name).write_text(text)
+    (folder / "binary.ply").write_bytes(ply.encode() + cloud.points.astype("<f4").tobytes())
+    for ending in (".png", ".jpg"):
+        cv2.imwrite(str(folder / f"grey{ending}"), grey)
+    copc = samples.path("chart_b_5m")
+    (folder / "tree.copc.laz").write_bytes(copc.read_bytes()) if copc.exists() else None
+    readers = {"ring": "polygon", "path": "trajectory", "segments": "segments", "table": "table"}
+    readers |= {"camera": "camera", "page": "image", "grey": "image", "dem": "heights"}
+    return {
+        file: readers.get(file.name.split(".")[0], "cloud") for file in sorted(folder.iterdir())
+    }
+
+
+def mutant(data, kind, rng):
+    """A damaged copy of a file's bytes."""
+    data, at = bytearray(data), rng.randrange(max(1, len(data)))
+    if rng.random() < 0.5:  # heads say what follows
+        at = rng.randrange(max(1, min(400, len(data))))
+    if kind == "flip":
+        for _ in range(rng.choice((1, 1, 4, 30))):
+            data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
+    elif kind == "cut":
+        del data[at:]
+    elif kind == "insert":
+        data[at:at] = bytes(rng.randrange(256) for _ in range(rng.choice((1, 7, 500))))
+    elif kind == "zero":
+        data[at : at + 200] = bytes(len(data[at : at + 200]))
+    elif kind == "extreme":
+        code, value = rng.choice(
+            (("<I", 2**32 - 1), ("<I", 2**31 - 1), ("<I", 2**24), ("<H", 65535))
+        )
+        new = (
+            struct.pack(code, value)
+            if rng.random() < 0.7
+            else struct.pack("<d", rng.choice((1e308, -0.0)))
+        )
+        data[at : at + len(new)] = new
+    elif kind == "swap":
+        to = rng.randrange(len(data))
+        data[at : at + 40], data[to : to + 40] = data[to : to + 40], data[at : at + 40]
+    else:
+        parts = bytes(data).split(rng.choice((b" ", b",", b"\n", b":")))
+        parts[rng.randrange(len(parts))] = rng.choice(WORDS)
+        data = (
+            bytearray(rng.choice((b" ", b",", b"\n")).join(parts))
+            if len(parts) < 2
+            else bytearray(b",".join(parts) if b"," in data else b" ".join(parts))
+        )
+    return bytes(data)
+
+
+def read_lines():
+    """A worker: read each file that is named on standard input, and say what became of it."""
+    from mmqa_lab import io
+
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+    resource.setrlimit(resource.RLIMIT_AS, (used + LIMIT_BYTES,) * 2)
+    warnings.simplefilter("ignore")
+    readers = {
+        "cloud": lambda path: io.read_cloud(path),
+        "polygon": io.read_polygon,
+        "trajectory": io.read_trajectory,
+        "segments": io.read_segments,
+        "table": lambda path: io.read_table(path, "criteria"),
+        "camera": io.read_camera,
+        "image": io.read_image,
+        "heights": io.read_heights,
+    }
+    answers = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # what libraries print is no answer
+    for line in sys.stdin:
+        reader, path = line.rstrip("\n").split(" ", 1)
+        try:
+            readers[reader](Path(path))
+            found = "read"
+        except Exception as error:
+            sentence = str(error).startswith(("Invalid ", "Missing "))
+            found = "refused" if sentence else f"other words: {type(error).__name__}: {error}"
+        answers.write(" ".join(found.split())[:200] + "\n")
+        answers.flush()
+
+
+class Worker:
+    """A process that reads files; a new one takes the place of one that died or hangs."""
+
+    def __init__(self):
+        self.child = None
+
+    def outcome(self, reader, path):
+        """What became of a file."""
+        if self.child is None or self.child.poll() is not None:
+            command = [sys.executable, __file__, "--worker"]
+            pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+            self.child = subprocess.Popen(command, stderr=subprocess.DEVNULL, **pipes)
+            self.ask("table", path, 120)  # it imports
+        return self.ask(reader, path, LIMIT_S)
+
+    def ask(self, reader, path, seconds):
+        with contextlib.suppress(BrokenPipeError):
+            self.child.stdin.write(f"{reader} {path}\n")
+            self.child.stdin.flush()
+            if not select.select([self.child.stdout], [], [], seconds)[0]:
+                self.child.kill()
+                self.child.wait()
+                return "no answer"
+            if answer := self.child.stdout.readline().strip():
+                return answer
+        return f"death {self.child.wait()}"
+
+    def close(self):
+        if self.child is not None:
+            self.child.stdin.close()
+            self.child.wait()
+
+
+def fuzz(count, seed, keep=None):
+    """Rows (file, kind, number, outcome) of mutants drawn over files and kinds."""
+    rng, worker = random.Random(seed), Worker()
+    with tempfile.TemporaryDirectory() as name:
+        sound, folder = Path(name) / "sound", Path(name) / "mutants"
+        sound.mkdir()
+        folder.mkdir()
+        files = seeds(sound)
+        for number in range(count):
+            file = [*files][number % len(files)]
+            kind = KINDS[number // len(files) % len(KINDS)]
+            changed = folder / f"{number}_{file.name}"
+            changed.write_bytes(mutant(file.read_bytes(), kind, rng))
+            outcome = worker.outcome(files[file], changed)
+            if keep and not outcome.startswith(("read", "refused")):
+                keep.mkdir(exist_ok=True)
+                changed.replace(keep / changed.name)
+            changed.unlink(missing_ok=True)
+            yield file.name, kind, number, outcome
+    worker.close()
+
+
+def main():
+    """Print counts by form, and each mutant that is neither read nor refused."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--count", type=int, default=3000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--keep", type=Path)
+    parser.add_argument("--worker", action="store_true")
+    given = parser.parse_args()
+    if given.worker:
+        return read_lines()
+    counts, bad = collections.defaultdict(collections.Counter), []
+    for name, kind, number, outcome in fuzz(given.count, given.seed, given.keep):
+        counts[name][outcome.split(":")[0].split(" -")[0]] += 1
+        if not outcome.startswith(("read", "refused")):
+            bad.append(f"{number} {name} {kind}: {outcome}")
+            print(bad[-1], flush=True)
+    columns = ("read", "refused", "other words", "death", "no answer")
+    print("| form |", " | ".join(columns), "|\n|---|" + "---|" * len(columns))
+    for name, row in [
+        *sorted(counts.items()),
+        ("all", sum(counts.values(), collections.Counter())),
+    ]:
+        print(f"| {name} |", " | ".join(str(row[column]) for column in columns), "|")
+    return bool(bad)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

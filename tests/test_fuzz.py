@@ -1,0 +1,102 @@
+"""Damaged and hostile files: 200 mutants in a process with limits, and cases of each kind."""
+
+import importlib.util
+import struct
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from mmqa_lab import io, samples
+
+SPEC = importlib.util.spec_from_file_location(
+    "fuzz", Path(__file__).parent / "benchmarks" / "fuzz.py"
+)
+fuzz = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(fuzz)
+
+
+def test_damaged_files_are_read_or_refused_by_a_sentence(tmp_path):
+    worker = fuzz.Worker()
+    sound = fuzz.seeds(tmp_path)
+    assert {worker.outcome(reader, file) for file, reader in sound.items()} == {"read"}
+    worker.close()
+    rows = list(fuzz.fuzz(200, seed=7))
+    bad = [row for row in rows if not row[-1].startswith(("read", "refused"))]
+    assert not bad
+    assert {row[-1].split(":")[0] for row in rows} == {"read", "refused"}
+
+
+def deep_xml(path):
+    path.write_text(30_000 * "<a>")
+    io.read_camera(path)
+
+
+def yaml_of_aliases(path):
+    rows = ["a: &a [1, 1, 1, 1, 1, 1, 1, 1, 1]"]
+    rows += [
+        f"{b}: &{b} [{', '.join(9 * [f'*{a}'])}]"
+        for a, b in zip("abcdefgh", "bcdefghi", strict=True)
+    ]
+    path.write_text("\n".join(rows))
+    io.read_camera(path)
+
+
+def wide_camera(path):
+    plain = "K: [9, 0, 1, 0, 9, 1, 0, 0, 1]\nD: [0, 0, 0, 0]\n"
+    path.write_text(f"image_width: {'9' * 400}\nimage_height: .inf\n{plain}")
+    io.read_camera(path)
+
+
+def large_png(path):
+    cv2.imwrite(str(path.with_suffix(".png")), np.zeros((4, 4), np.uint8))
+    data = bytearray(path.with_suffix(".png").read_bytes())
+    data[16:24] = struct.pack(">II", 60_000, 60_000)
+    path.write_bytes(data)
+    io.read_image(path)
+
+
+def photograph_with_a_hole(path):
+    data = bytearray((samples.path("road_patch").parent / "chart_photo.jpg").read_bytes())
+    del data[len(data) // 2 : len(data) // 2 + 300]
+    path.write_bytes(data)
+    io.read_image(path)
+
+
+def large_chunk(path):
+    data = bytearray(samples.path("road_patch").read_bytes())
+    at = data.index(b"laszip encoded")
+    data[at + 64 : at + 68] = struct.pack("<I", 2**31 - 1)
+    path.write_bytes(data)
+    io.read_cloud(path)
+
+
+def many_records(path):
+    io.write_cloud(path, np.random.default_rng(1).random((9, 3)))
+    data = bytearray(path.read_bytes())
+    data[100:104] = struct.pack("<I", 2**24)
+    path.write_bytes(data)
+    io.read_cloud(path)
+
+
+HOSTILE = {
+    "camera.xml": deep_xml,
+    "camera.yaml": yaml_of_aliases,
+    "wide.yaml": wide_camera,
+    "large.png": large_png,
+    "hole.jpg": photograph_with_a_hole,
+    "chunk.laz": large_chunk,
+    "records.las": many_records,
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_files_are_refused_at_once(name, tmp_path):
+    with pytest.raises(ValueError, match=rf"^Invalid .*{name}"):
+        HOSTILE[name](tmp_path / name)
+
+
+def test_a_text_longer_than_a_name_is_no_path():
+    with pytest.raises(ValueError, match=r"^Invalid "):
+        io.read_polygon("1,2,3;" * 100 + "nowhere")
