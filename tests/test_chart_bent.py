@@ -89,4 +89,4 @@ def test_lines_bent_too_far_are_refused_by_how_far_and_measured_with_the_lens(tm
     truth = 1600 / sum(STRONG.length(CHART[name]) for name in ("bar_left", "bar_right"))
     assert row["pixel_v_mm"].item() == pytest.approx(truth, rel=1e-3)
     assert row["w_v_mm"].item() <= 3.3 * truth
-    assert "bent" not in row["remark"].item()
+    assert "bent" not in row["remarks"].item()

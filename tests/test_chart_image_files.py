@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 
 from mmqa_lab import chart_image, charts, commands, io, samples
+from mmqa_lab.chart_image import align
 from mmqa_lab.simulate import cameras
 
 CHART = charts.imaging_chart()
@@ -108,7 +109,7 @@ def test_the_sample_photograph_is_measured_as_its_truth_says():
         pixel, w = f"pixel_{direction}_mm", f"w_{direction}_mm"
         assert row[pixel] == pytest.approx(truth[pixel], rel=1e-3)
         assert row[f"w_{direction}_next_mm"] <= truth[w] <= row[w]  # never finer than the truth
-    assert not row["remark"]
+    assert not row["remarks"]
 
 
 def test_a_chart_printed_too_small_is_measured_with_its_own_length():
@@ -129,9 +130,10 @@ def test_photographs_without_a_chart_cost_the_others_nothing(tmp_path):
     rows = commands.image([wall, samples.path("chart_photo"), tmp_path / "none.jpg"])
     assert rows["file"].tolist() == ["wall.png", "chart_photo.jpg", "none.jpg"]
     assert rows["pixel_v_mm"].notna().tolist() == [False, True, False]
-    assert "long bars found" in rows["remark"][0]
-    with pytest.raises(ValueError, match=r"wall\.png, image: .* long bars found"):
-        commands.image([wall, wall])
+    assert "long bars found" in rows["remarks"][0]
+    none = commands.image([wall, wall])
+    assert none["remarks"].str.contains("long bars found").tolist() == [True, True]
+    assert (rows.attrs["status"], none.attrs["status"]) == (1, 2)
 
 
 @pytest.mark.parametrize("size", [(5500, 5000), (7200, 6000)])
@@ -146,5 +148,10 @@ def test_targets_and_bars_are_found_in_large_photographs_made_smaller(size):
 
 def test_a_mirrored_chart_is_refused():
     image = cv2.imread(str(samples.path("chart_photo")), cv2.IMREAD_GRAYSCALE)
-    with pytest.raises(ValueError, match=r"coded targets and no long bars|not mirrored"):
-        chart_image.evaluate_image(image / 255, CHART, chart_image.locate(image[:, ::-1], CHART))
+    with pytest.raises(ValueError, match=r"image: the chart is mirrored\."):
+        chart_image.locate(image[:, ::-1], CHART)
+    corners = chart_image.locate(image, CHART).pixels(CHART.corners())[[1, 0, 3, 2]]
+    corners[:, 0] = image.shape[1] - 1 - corners[:, 0]
+    there = chart_image.locate(None, CHART, corners=corners)
+    with pytest.raises(ValueError, match=r"image: the chart is mirrored\."):
+        align(image[:, ::-1] / 255, CHART, there)

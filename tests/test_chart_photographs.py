@@ -1,5 +1,7 @@
 """Charts in photographs by a camera of the tests' own: found, placed and read, or doubted."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -79,7 +81,7 @@ def test_what_a_pole_hides_is_called_hidden():
         assert CHART[name].x < 530
         assert CHART[name].x + CHART[name].width > 470
     assert "pairs_h_40" in hidden
-    assert "hidden: pairs_h_40" in quality.to_frame()["remark"].item()
+    assert "hidden: pairs_h_40" in quality.to_frame()["remarks"].item()
 
 
 def test_a_display_curve_taken_for_light_is_doubted():
@@ -88,9 +90,9 @@ def test_a_display_curve_taken_for_light_is_doubted():
     right = chart_image.evaluate_image(linear(shot.image), CHART, there)
     wrong = chart_image.evaluate_image(shot.image / 255.0, CHART, there)
     linear_taken_for_srgb = chart_image.evaluate_image(linear(255 * shot.linear), CHART, there)
-    assert "gamma" not in right.to_frame()["remark"].item()
+    assert "gamma" not in right.to_frame()["remarks"].item()
     for doubtful in (wrong, linear_taken_for_srgb):
-        assert "is gamma right?" in doubtful.to_frame()["remark"].item()
+        assert "is gamma right?" in doubtful.to_frame()["remarks"].item()
 
 
 def test_texts_of_a_turned_photograph_are_upright():
@@ -121,12 +123,12 @@ BEHIND = {
     "beam over 44 % of a row": ({"strips": ((1, 820.0, 17.6),)}, "hidden: pairs_h_20", 30.0),
     "post on a standing bar": (
         {"strips": ((0, 150.0, 30.0),), "yaw": 25},
-        "an end is not seen, its place is the map's: bar_left",
+        "an end is not seen where the map has it: bar_left",
         20.0,
     ),
     "beam on the ends of both bars": (
         {"strips": ((1, 100.0, 15.0),), "yaw": 30, "pitch": 10},
-        "an end is not seen, its place is the map's: bar_left, bar_right",
+        "an end is not seen where the map has it: bar_left, bar_right",
         20.0,
     ),
     "nothing": ({}, "", 20.0),
@@ -159,10 +161,56 @@ def test_a_leaf_on_one_pattern_alone_costs_no_finer_one():
     leaf = shot.pixels(CHART["pairs_h_30"].corners()).round().astype(np.int32)
     cv2.fillPoly(image, [leaf], (float(np.median(image)),) * 3)
     quality = chart_image.evaluate_image(image, CHART, there)
-    assert quality.remarks == ["hidden: pairs_h_30"]
+    assert quality.remarks == ("hidden: pairs_h_30",)
     open_view = chart_image.evaluate_image(shot.linear, CHART, there)
     assert quality.resolution("h") == open_view.resolution("h")
     assert quality.resolution("h").width_mm < 30
+
+
+FENCES = {
+    "wires": (2.7, tuple((0, x, 5.0) for x in range(20, 1000, 50))),
+    "mesh": (4.0, tuple((axis, x, 5.0) for axis in (0, 1) for x in range(30, 1000, 100))),
+}
+"""Pixel sizes, mm, and what hides about 20 % of a chart."""
+
+
+@pytest.mark.parametrize("name", FENCES)
+def test_a_chart_behind_a_fence_is_found_and_what_it_hides_is_said(name):
+    pixel_mm, strips = FENCES[name]
+    shot = shoot(CHART, pixel_mm, seed=100, margin=0.3, strips=strips)
+    there = chart_image.locate(grey(shot.image), CHART)
+    quality = chart_image.evaluate_image(shot.linear, CHART, there)
+    assert np.median(away(shot, quality.chart_map)) < 0.4
+    assert "hidden: " in "; ".join(quality.remarks)
+
+
+@pytest.mark.parametrize("condition", ["blur 2", "motion 4", "base"])
+def test_blur_does_not_change_the_pixel_size(condition):
+    """The chart's edges bleed into what is around; sharp ones give an interval a third as wide."""
+    shot = shoot(CHART, 2.7, seed=1, margin=0.15, **CONDITIONS[condition])
+    there = chart_image.locate(None, CHART, corners=shot.pixels(CHART.corners()) + 0.5)
+    quality = chart_image.evaluate_image(shot.linear, CHART, there)
+    sizes = quality.sizes.set_index("name")
+    off = sizes["length_px"] - [shot.length(CHART[name]) for name in sizes.index]
+    assert off.abs().max() < 0.08  # 0.17 with the edges
+    assert (off.abs() < 1.96 * sizes["length_sigma_px"]).mean() > 0.6
+    if condition == "base":
+        assert sizes["length_sigma_px"].max() < 0.5 * quality.residual_px
+
+
+def test_clear_line_pairs_that_are_not_resolved_are_said():
+    shot = shoot(CHART, 4.0, seed=2)
+    there = chart_image.locate(None, CHART, corners=shot.pixels(CHART.corners()))
+    quality = chart_image.evaluate_image(shot.linear, CHART, there)
+    assert not quality.remarks
+    pairs = quality.pairs
+    lost = pairs["name"].isin(["pairs_h_15", "pairs_h_20"])
+    pairs = pairs.assign(resolved=pairs["resolved"] & ~lost)
+    doubted = replace(quality, pairs=pairs)
+    assert doubted.resolution("h").width_mm == 30
+    (said,) = doubted.remarks
+    assert "pairs_h_20, pairs_h_15" in said
+    assert "w_h may be coarse" in said
 
 
 @pytest.mark.parametrize(

@@ -95,25 +95,3 @@ def test_marks_are_open_between_the_photographs_that_were_judged():
     found = chart_image.expected_marks(pixels)
     assert found["best"].tolist() == ["b", "a", "a", "a"]
     assert found["worst"].tolist() == ["c", "c", "b", "a"]
-
-
-def test_colours_fringe_at_the_limit_of_resolution_of_a_mosaic_and_nowhere_else():
-    layout = charts.imaging_chart()
-    camera = cameras.PanoramaCamera.of_megapixels(30)  # 8 mm at 10 m
-    view = cameras.chart_view(camera, distance=10, layout=layout)
-    sensor = cameras.Sensor(noise=0.0, bayer=True)
-    optics = cameras.Optics(0.3)
-    taken = cameras.photograph(layout, view, optics=optics, sensor=sensor)
-    found = chart_image.colour_fringes(taken.image, layout, taken.chart_map).set_index("name")
-    standing = found[found["direction"] == "h"]
-    assert 1.8 < standing.loc[standing["fringe"].idxmax(), "width_px"] < 4
-    assert standing["fringe"].max() > 1.4 * standing["fringe"]["pairs_h_40"]
-    grey = cameras.photograph(layout, view, optics=optics, sensor=cameras.Sensor(noise=0.0))
-    neutral = np.dstack([0.9 * grey.image, grey.image, 0.8 * grey.image])
-    none = chart_image.colour_fringes(neutral, layout, grey.chart_map)
-    assert none["fringe"].max() < 1e-3  # a cast of the light is no fringe
-
-
-def test_quality_index_of_documents():
-    # ANSI/AIIM MS23: 8 line pairs per mm and letters of 1 mm read excellently
-    assert chart_image.quality_index(1.0, 1 / 8) == pytest.approx(0.75 * 8)

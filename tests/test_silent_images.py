@@ -226,7 +226,7 @@ def without_a_chart(path):
     wall = np.random.default_rng(0).integers(0, 255, (200, 300), dtype=np.uint8)
     cv2.imwrite(str(path / "wall.png"), wall)
     rows = commands.image([path / "wall.png", samples.path("chart_photo")])
-    return rows["pixel_v_mm"][1], rows["remark"][0]
+    return rows["pixel_v_mm"][1], rows["remarks"][0]
 
 
 LENS, BOARD = {"pixel_mm": 1.8}, {"sag": 20.0, "turn": (0, 30, 1), "pixel_mm": 2.2}

@@ -15,8 +15,7 @@ from mmqa_lab.chart_image.bends import BLOCKS
 from mmqa_lab.chart_image.doubts import hidden_texts
 from mmqa_lab.chart_image.finding import locate
 from mmqa_lab.chart_image.legibility import (
-    MARKS, Agreement, Crop, agreement, check_marks, colour_fringes, expected_marks, quality_index,
-    text_crops,
+    MARKS, Agreement, Crop, agreement, check_marks, expected_marks, text_crops,
 )  # fmt: skip
 from mmqa_lab.chart_image.lengths import pixel_sizes
 from mmqa_lab.chart_image.line_pairs import (
@@ -32,7 +31,7 @@ __all__ = [
     "BLOCKS", "HIDDEN", "MARKS", "MOVED", "PLACE_COLUMNS", "SIGMAS_PX", "SMALLEST_GAP",
     "SMALLEST_PAIR_PX", "Agreement", "Bend", "ChartMap", "Crop", "ImageQuality", "LensCamera",
     "PairReading", "PanoramaCamera", "Resolution", "Tones", "agreement", "align", "chart_site",
-    "check_marks", "choose_images", "colour_fringes", "evaluate_file", "evaluate_image",
+    "check_marks", "choose_images", "evaluate_file", "evaluate_image",
     "expected_contrast", "expected_marks", "find_tones", "four_corners", "hidden_texts", "locate",
-    "pixel_sizes", "quality_index", "read_pairs", "read_pattern", "resolution", "text_crops",
+    "pixel_sizes", "read_pairs", "read_pattern", "resolution", "text_crops",
 ]  # fmt: skip

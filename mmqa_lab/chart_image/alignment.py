@@ -10,10 +10,10 @@ import numpy as np
 
 from mmqa_lab._checks import check_image, refuse
 from mmqa_lab.chart_image.bends import SPREADS, straight, with_bend
-from mmqa_lab.chart_image.maps import plain
+from mmqa_lab.chart_image.maps import mirrored, plain
 from mmqa_lab.charts import LinePairs, reflectance
 
-__all__ = ["CERTAIN", "SIGMAS_PX", "Level", "align"]
+__all__ = ["CERTAIN", "CLEARLY", "MIDDLE", "SIGMAS_PX", "SMALLEST_CORRELATION", "Level", "align"]
 
 WHERE = "place of the chart"
 
@@ -23,8 +23,12 @@ SMALLEST_CORRELATION = 0.6
 CERTAIN = 0.8
 """Correlation that needs no other guess; share of it that a map without a bend must reach."""
 
-SIGMAS_PX = (0.6, 1.2, 2.0)
-"""Point spreads of the print, pixel included, in the alignment: the one that fits best counts."""
+CLEARLY = 0.1
+"""How much better the mirror image of a chart must correlate; some charts are symmetric."""
+
+SIGMAS_PX, RIM_SIGMAS = (0.6, 1.2, 2.0, 3.2), 2.0
+"""Point spreads of the print, pixel included, in the alignment: the one that fits best counts. As
+far as so many of it reach in from the chart's edge, nothing counts."""
 
 MIDDLE, FINEST = 160, 800
 """Cells along a side, on the way and at most."""
@@ -91,6 +95,9 @@ def align(image, layout, chart_map):
         if alone > CERTAIN * level.correlation(found):
             flat, alone = _aligned(image, layout, flat, bent=False)
             found, correlation = (flat, alone) if alone >= correlation else (found, correlation)
+    level = Level(image, layout, found, MIDDLE)
+    turned = level.correlation(mirrored(found, layout)) > level.correlation(found) + CLEARLY
+    refuse(turned, "image", "the chart is mirrored", "as the camera saw it")
     bent = found.bent_share(layout) if found.bend is not None else 0.0
     lines = f"straight lines are bent by {bent:.1%} of their length"
     told = "or a camera file must tell how the lens bends (is the chart there?)"
@@ -116,7 +123,7 @@ def _aligned(image, layout, chart_map, *, bent):
     sigma = max(SIGMAS_PX, key=lambda sigma: level.behind(sigma).correlation(chart_map))
     chart_map, _ = level.behind(sigma).aligned(chart_map)
     chart_map = straight(with_bend(level, chart_map) if bent else chart_map, layout)
-    return chart_map, level.correlation(chart_map)
+    return replace(chart_map, blur_px=sigma), level.correlation(chart_map)
 
 
 def _pixel_mm(layout, chart_map):
@@ -151,6 +158,8 @@ class Level:
     def behind(self, sigma_px):
         """The level itself, its print as behind a point spread."""
         blur = np.hypot(sigma_px * self.pixel_mm / self.cell, 0.5)
+        # up to there pixels see what is beyond the chart
+        self.rim = int(np.ceil(RIM_SIGMAS * blur))
         self.printed = _standardised(cv2.GaussianBlur(self.print, (0, 0), blur))
         return self
 
@@ -161,7 +170,10 @@ class Level:
         pixels = np.float32(pixels - self.first).reshape(*self.printed.shape, 2)
         how = {"interpolation": cv2.INTER_LINEAR, "borderMode": cv2.BORDER_REPLICATE}
         seen = _standardised(cv2.remap(self.image, pixels, None, **how))
-        return seen, (self.trusted * inside).astype(np.uint8)
+        trusted = (self.trusted * inside).astype(np.uint8)
+        rim = min(self.rim, min(trusted.shape) // 4)
+        trusted[:rim] = trusted[-rim:] = trusted[:, :rim] = trusted[:, -rim:] = 0
+        return seen, trusted
 
     def correlation(self, chart_map):
         """Of print and photograph."""

@@ -6,12 +6,12 @@ from itertools import combinations
 import cv2
 import numpy as np
 
-from mmqa_lab.chart_image.alignment import CERTAIN, Level
-from mmqa_lab.chart_image.maps import ChartMap, side
+from mmqa_lab.chart_image.alignment import CERTAIN, CLEARLY, MIDDLE, Level
+from mmqa_lab.chart_image.maps import ChartMap, mirrored, side
 from mmqa_lab.chart_image.targets import ENLARGED_PIXELS
 from mmqa_lab.charts import Bar, reflectance
 
-__all__ = ["by_bars"]
+__all__ = ["by_bars", "confirmed"]
 
 SLENDEREST, MOST_STREAKS = 6.0, 1500
 """Least length of a dark streak over its width to count as a bar; number of streaks at most."""
@@ -19,8 +19,9 @@ SLENDEREST, MOST_STREAKS = 6.0, 1500
 PROMISING, LIKELY = 0.3, 0.65
 """Correlations of a guess: least before alignment, least after it."""
 
-GLANCE_CELLS = 80
-"""Cells along a side of the chart where a first guess is compared with the image."""
+GLANCE_CELLS, COARSE_CELLS = 80, 60
+"""Cells along a side of the chart where a first guess is compared with the image, and where it is
+aligned first."""
 
 
 def by_bars(grey, layout, smaller):
@@ -53,18 +54,23 @@ def by_bars(grey, layout, smaller):
 def _guesses(grey, layout, bars):
     """Correlations and aligned maps of the charts that streaks suggest."""
     scored = _glanced(grey, layout, _suggested(_streaks(grey), bars))
-    best, found = sorted(scored, key=lambda guess: -guess[0])[:6], []
-    for chart_map in [chart_map for first, chart_map in best if first > PROMISING]:
-        for along in (60, 160):
-            outline = chart_map.outline(layout.corners())
-            if not ((outline > -2) & (outline < np.array(grey.shape[::-1]) + 1)).all():
-                break
-            chart_map, correlation = Level(grey, layout, chart_map, along).aligned(chart_map)
-        else:
-            wide = np.ptp(chart_map.pixels(layout.corners()), axis=0)
-            if correlation > LIKELY and wide.prod() > 50**2:  # a smaller chart shows nothing
-                found.append((correlation, chart_map))
-    return found
+    best = sorted(scored, key=lambda guess: -guess[0])[:6]
+    guesses = [chart_map for first, chart_map in best if first > PROMISING]
+    return [found for guess in guesses if (found := confirmed(grey, layout, guess))]
+
+
+def confirmed(grey, layout, chart_map, least=LIKELY):
+    """Correlation and map of a guess after alignment, or None where the print does not agree."""
+    for along in (COARSE_CELLS, MIDDLE):
+        outline = chart_map.outline(layout.corners())
+        if not ((outline > -2) & (outline < np.array(grey.shape[::-1]) + 1)).all():
+            return None
+        level = Level(grey, layout, chart_map, along)
+        chart_map, correlation = level.aligned(chart_map)
+    wide = np.ptp(chart_map.pixels(layout.corners()), axis=0)
+    good = correlation > least and wide.prod() > 50**2  # a smaller chart shows nothing
+    good = good and correlation + CLEARLY > level.correlation(mirrored(chart_map, layout))
+    return (correlation, chart_map) if good else None
 
 
 def _glanced(grey, layout, suggested):

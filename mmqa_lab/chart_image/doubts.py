@@ -5,10 +5,13 @@ from dataclasses import replace
 import numpy as np
 
 from mmqa_lab._results import sentences
-from mmqa_lab.chart_image.line_pairs import HIDDEN, MOVED
+from mmqa_lab.chart_image.line_pairs import HIDDEN, MOVED, SMALLEST_PAIR_PX, is_crossed
 from mmqa_lab.charts import Text
 
 __all__ = ["doubts", "hidden_texts"]
+
+CLEAR_CONTRAST = 0.2
+"""Contrast of line pairs at their printed places that speaks for them, though not each gap does."""
 
 SAID_BEND = 0.01
 """How far lines are bent over their length, from where on it is said."""
@@ -28,9 +31,12 @@ def doubts(quality):
     moved = (pairs["reason"] == MOVED) & (pairs["width_px"] > 4)
     moved = pairs.loc[moved & (pairs["contrast"].abs() > 0.1), "name"]
     # blurred pairs are half white, half black in linear light; a display's curve adds 0.2
-    blurred = pairs["contrast"].between(0.02, 0.7) & (pairs["reason"] != HIDDEN)
+    around = (quality.layout[name] for name in pairs["name"])
+    free = ~np.array([is_crossed(quality.tones, one, quality.chart_map) for one in around])
+    blurred = pairs["contrast"].between(0.02, 0.7) & (pairs["reason"] != HIDDEN) & free
     tone = pairs.loc[blurred, "mean"].median()
     unread = [one for one in "hv" if np.isnan(quality.resolution(one).width_mm)]
+    coarse = [(one, ", ".join(found)) for one in "hv" if len(found := _finer(quality, one)) > 1]
     bent = 0 if quality.chart_map.bend is None else quality.chart_map.bent_share(quality.layout)
     toned = f"blurred line pairs have a mean tone of {tone:.2f} for 0.50: is gamma right?"
     return sentences(
@@ -38,12 +44,22 @@ def doubts(quality):
         (charts > 1, f"{charts} charts are seen, the largest is measured"),
         (clipped > 0.05, f"{clipped:.0%} of the plain pixels are clipped"),
         (residual > 1, f"bars end {residual:.1f} px from their places"),
-        (len(unseen), f"an end is not seen, its place is the map's: {', '.join(unseen)}"),
+        (len(unseen), f"an end is not seen where the map has it: {', '.join(unseen)}"),
         (len(hidden), f"hidden: {', '.join(hidden)}"),
         (len(moved), f"bars are not where they are printed: {', '.join(moved)}"),
         (abs(tone - 0.5) > 0.12, toned),
+        *((True, f"{names} have contrast: w_{one} may be coarse") for one, names in coarse),
         *((True, f"no line pairs are resolved in direction {one}") for one in unread),
     )
+
+
+def _finer(quality, direction):
+    """Names of the line pairs finer than w with contrast at their printed places, or resolved."""
+    pairs = quality.pairs[quality.pairs["direction"] == direction]
+    finer = pairs["width_mm"] < np.nan_to_num(quality.resolution(direction).width_mm, nan=np.inf)
+    wide = pairs["width_px"] >= SMALLEST_PAIR_PX
+    clear = pairs["resolved"] | (pairs["contrast"] > CLEAR_CONTRAST)
+    return pairs.loc[finer & wide & clear & (pairs["reason"] != HIDDEN), "name"].tolist()
 
 
 def hidden_texts(tones, layout, chart_map):

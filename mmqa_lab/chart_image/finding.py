@@ -6,14 +6,14 @@ Targets and bars say where a chart may be. :func:`mmqa_lab.chart_image.align` th
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_image
-from mmqa_lab.chart_image.bars import by_bars
+from mmqa_lab._checks import check_image, refuse
+from mmqa_lab.chart_image.alignment import SMALLEST_CORRELATION
+from mmqa_lab.chart_image.bars import by_bars, confirmed
 from mmqa_lab.chart_image.maps import (
     ChartMap,
     LensCamera,
@@ -26,6 +26,9 @@ from mmqa_lab.chart_image.targets import by_chart, decoded
 from mmqa_lab.charts import Layout, Marker
 
 __all__ = ["locate"]
+
+WIRES_PX = 9
+"""Window of a median in which wires vanish and bars stay."""
 
 SHRUNK_PIXELS, OTHERS_PIXELS = 25e6, 6e6
 """Targets are sought in larger images than the first made that small first; a second chart without
@@ -43,7 +46,8 @@ def locate(
     """Find a chart by its coded targets and long bars, or at its corners.
 
     OpenCV decodes the targets; the corners of three or four give the map. Where fewer are read,
-    dark streaks are paired as if they were two of the long bars, and the best pair is aligned.
+    dark streaks are paired as if they were two of the long bars, and the best pair is aligned. What
+    one or two targets say must agree with the rest of the print.
 
     Parameters
     ----------
@@ -65,7 +69,7 @@ def locate(
     Raises
     ------
     ValueError
-        If there are not four corners in this order, or neither targets nor long bars are found.
+        If there are not four corners in this order, no chart is found, or it is mirrored.
 
     Notes
     -----
@@ -85,35 +89,60 @@ def locate(
     >>> chart_map.pixels([[0, 0], [500, 500]]).round(6).tolist()
     [[100.0, 350.0], [225.0, 225.0]]
     """
-    place = partial(ChartMap.from_points, camera=camera, offset=offset)
     if corners is not None:
         corners = four_corners(corners, columns=2)
-        return place(layout.corners(), corners, source="corners")
-    grey, long_bars = _stretched(image), {"source": "long bars", "camera": camera, "offset": offset}
-    markers = {marker.identifier: marker for marker in layout.of_kind(Marker)}
+        known = {"camera": camera, "offset": offset, "source": "corners"}
+        return ChartMap.from_points(layout.corners(), corners, **known)
+    grey, known = _stretched(image), {"camera": camera, "offset": offset}
+    chart_map, targets = _found(grey, layout, known)
+    if chart_map is None:  # a fence may stand before it
+        chart_map, _ = _found(cv2.medianBlur(grey, WIRES_PX), layout, known)
+    if chart_map is None:
+        mirrored = _found(np.ascontiguousarray(grey[:, ::-1]), layout, known)[0] is not None
+        refuse(mirrored, "image", "the chart is mirrored", "as the camera saw it")
+        seen = f"{targets} of {len(layout.of_kind(Marker))} coded targets and no long bars found"
+        must = "show the whole chart, not cut by the border, or its corners must be given"
+        raise ValueError(f"Invalid image: {seen}. Must {must}.")
+    return chart_map
+
+
+def _found(grey, layout, known):
+    """The map of the largest chart or None, and how many coded targets are seen."""
+    markers = {(one.dictionary, one.identifier): one for one in layout.of_kind(Marker)}
     shrunk = min((SHRUNK_PIXELS / grey.size) ** 0.5, 1)
     for times in (shrunk, 1) if shrunk < 1 else (1,):
         found = decoded(grey, markers, times) if markers else []
-        groups = by_chart(found, markers, layout)
-        if len(dict(found)) == len(found) > 2 and len(groups) > 1:  # a lens moves them apart
-            groups = [found]
-        if groups and len(groups[0]) > 2:
-            # OpenCV counts from the upper left corner, clockwise
-            places = np.concatenate([markers[key].corners()[::-1] for key, _ in groups[0]])
-            seen = np.concatenate([corners for _, corners in groups[0]])
-            source = f"{len(groups[0])} coded targets"
-            chart_map = place(places, seen, source=source)
-            other = _other(grey, chart_map, layout)
-            charts = sum(len(group) > 1 for group in groups), 1 + (other.charts if other else 0)
-            if other and side(other, layout) > side(chart_map, layout):
-                chart_map = plain(other, layout, **long_bars)
-            return replace(chart_map, charts=max(charts))
-        chart_map = by_bars(grey, layout, times) if times == shrunk else None
+        chart_map = _by_targets(grey, layout, found, markers, known)
+        if chart_map is None and times == shrunk:
+            chart_map = by_bars(grey, layout, times)
+            if chart_map is not None:
+                chart_map = plain(chart_map, layout, source="long bars", **known)
         if chart_map is not None:
-            return plain(chart_map, layout, **long_bars)
-    seen = f"{len(found)} of {len(markers)} coded targets and no long bars found"
-    must = "show the whole chart, not cut by the border, or its corners must be given"
-    raise ValueError(f"Invalid image: {seen}. Must {must}.")
+            break
+    return chart_map, len(found)
+
+
+def _by_targets(grey, layout, found, markers, known):
+    """The map by three or four targets of the largest chart, or None; other charts are counted."""
+    groups = by_chart(found, markers, layout)
+    if len(dict(found)) == len(found) > 2 and len(groups) > 1:  # a lens moves them apart
+        groups = [found]
+    if not groups:
+        return None
+    # OpenCV counts from the upper left corner, clockwise
+    places = np.concatenate([markers[key].corners()[::-1] for key, _ in groups[0]])
+    seen = np.concatenate([corners for _, corners in groups[0]])
+    source = f"{len(groups[0])} coded targets"
+    chart_map = ChartMap.from_points(places, seen, source=source, **known)
+    if len(groups[0]) < 3:  # seen through a fence: the rest of the print must agree
+        guess = ChartMap.from_points(places, seen, source=source)
+        rest = confirmed(grey, layout, guess, SMALLEST_CORRELATION)
+        return None if rest is None else plain(rest[1], layout, source=source, **known)
+    other = _other(grey, replace(chart_map, offset=(0.0, 0.0)), layout)
+    charts = sum(len(group) > 1 for group in groups), 1 + (other.charts if other else 0)
+    if other and side(other, layout) > side(chart_map, layout):
+        chart_map = plain(other, layout, source="long bars", **known)
+    return replace(chart_map, charts=max(charts))
 
 
 def _other(grey, chart_map, layout):

@@ -1,12 +1,12 @@
 """How well the texts of a photographed chart can be read.
 
-The jury's marks are the reference for legibility. Pixels per capital and the quality index of line
-pairs stand in for them; they have columns of their own and are never merged with the marks.
+The jury's marks are the reference for legibility. Pixels per capital
+stand in for them; they have columns of their own and are never merged with the marks.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import cv2
@@ -15,15 +15,13 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from mmqa_lab import published
-from mmqa_lab._checks import check_choice, check_columns, check_positive, check_row, needs, refuse
+from mmqa_lab._checks import check_choice, check_columns, check_row, needs, refuse
 from mmqa_lab._results import Shown
 from mmqa_lab.chart_image.maps import ChartMap
-from mmqa_lab.chart_image.tones import find_tones
-from mmqa_lab.charts import Bar, Layout, LinePairs, Text
+from mmqa_lab.charts import Bar, Layout, Text
 
 __all__ = [
-    "MARKS", "Agreement", "Crop", "agreement", "check_marks", "colour_fringes", "expected_marks",
-    "quality_index", "text_crops",
+    "MARKS", "Agreement", "Crop", "agreement", "check_marks", "expected_marks", "text_crops",
 ]  # fmt: skip
 
 MARKS = ("a", "b", "c")
@@ -169,80 +167,6 @@ def check_marks(marks):
     for juror, element in pairs[pairs.duplicated()].to_numpy():
         refuse(True, "marks", f"juror {juror} marked {element} twice", "once")
     return marks
-
-
-def quality_index(cap_mm: float, width_mm: float | np.ndarray) -> float | np.ndarray:
-    """Return the quality index QI: height of lower-case letters over the resolved pair width.
-
-    Parameters
-    ----------
-    cap_mm : float
-        Height of the capitals.
-    width_mm : float or array_like
-        Resolved width w, mm; the geometric mean of both directions is usual.
-
-    Returns
-    -------
-    float or array
-        About 3 barely legible, 3.6 marginal, 5 good, 8 excellent in the reading of documents.
-
-    Raises
-    ------
-    ValueError
-        If ``cap_mm`` is not above zero.
-
-    References
-    ----------
-    ANSI/AIIM MS23; Kenney and Chapman 1996, Digital Resolution Requirements, Cornell University.
-
-    Examples
-    --------
-    >>> quality_index(40, 10)
-    3.0
-    """
-    # lower-case letters are three quarters as high as capitals in the chart's font
-    return 0.75 * check_positive(cap_mm, "cap_mm", unit="mm") / width_mm
-
-
-def colour_fringes(image: np.ndarray, layout: Layout, chart_map: ChartMap) -> pd.DataFrame:
-    """Measure the colours that black and white line pairs take on in a colour photograph.
-
-    The paper saw strong ones at and beyond the limit of resolution (section 4.4).
-
-    Parameters
-    ----------
-    image : array, shape (rows, columns, 3)
-        Linear light, full scale 1.
-    layout : Layout
-    chart_map : ChartMap
-
-    Returns
-    -------
-    DataFrame
-        A row per pattern: ``name``, ``direction``, ``width_mm``, ``width_px`` and ``fringe``, the
-        mean range of the three colours as share of the contrast of black and white.
-
-    Examples
-    --------
-    >>> from mmqa_lab.charts import imaging_chart, reflectance
-    >>> layout = imaging_chart()
-    >>> image = reflectance(layout, cell=4, colour=True)[::-1]  # pixels of 4 mm
-    >>> chart_map = ChartMap(np.array([[0.25, 0, -0.5], [0, -0.25, 249.5], [0, 0, 1]]))
-    >>> float(colour_fringes(image, layout, chart_map)["fringe"].max().round(6))
-    0.0
-    """
-    bands = [find_tones(image[..., k], layout, chart_map) for k in range(3)]
-    span = replace(bands[0], values=np.ptp([band.values for band in bands], axis=0))
-    rows = []
-    for pairs in layout.of_kind(LinePairs):
-        outline = pairs.corners()
-        places, values = span.near(chart_map, outline)
-        inside = ((places >= outline[0]) & (places <= outline[2])).all(axis=1)
-        axis = "hv".index(pairs.direction)
-        pixel_mm = chart_map.pixel_sizes_mm(outline.mean(axis=0)[None])[0, axis]
-        fringe = float(values[inside].mean()) if inside.any() else np.nan
-        rows.append((pairs.name, pairs.direction, pairs.pair, pairs.pair / pixel_mm, fringe))
-    return pd.DataFrame(rows, columns=["name", "direction", "width_mm", "width_px", "fringe"])
 
 
 @dataclass(frozen=True, eq=False)

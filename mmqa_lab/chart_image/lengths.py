@@ -4,13 +4,22 @@ import cv2
 import numpy as np
 import pandas as pd
 
+from mmqa_lab.chart_image.tones import WIDE_PX
 from mmqa_lab.charts import Bar
 
 __all__ = ["pixel_sizes"]
 
-END_REACH_PX, END_STEP_PX = 6.0, 0.1
+BAR_COLUMNS = (
+    *("name", "direction", "length_mm", "n", "length_px"),
+    *("repeats_std_px", "offset_px"),
+)
+
+SHARP_SHARE = 1 / 3
+"""Error of a length in the map, over that of its two ends as seen, where the image is sharp."""
+
+END_REACH_PX, END_STEP_PX, END_OFF_PX = 6.0, 0.1, 2.0
 """Pixels to either side of a bar's end that are read, in these steps: the inner half for the end,
-the outer one for black and white."""
+the outer one for black and white. How far from its place an end may be."""
 
 
 def pixel_sizes(tones, layout, chart_map):
@@ -54,9 +63,11 @@ def pixel_sizes(tones, layout, chart_map):
     [800.0, 200.0, 4.0]
     """
     bars = [bar for bar in layout.of_kind(Bar) if not 0.2 < bar.width / bar.height < 5]
-    table = pd.DataFrame([_measured(tones, bar, chart_map) for bar in bars])
-    # ends of all bars tell how far the map is off
-    table["length_sigma_px"] = np.sqrt(2 * (table["offset_px"] ** 2).mean())
+    rows = [_measured(tones, bar, chart_map) for bar in bars]
+    table = pd.DataFrame(rows, columns=BAR_COLUMNS)
+    # ends of all bars tell how far the map may be off, and it is better where they are sharp
+    share = SHARP_SHARE if chart_map.blur_px <= WIDE_PX else 1.0
+    table["length_sigma_px"] = share * np.sqrt(2 * (table["offset_px"] ** 2).mean())
     table["pixel_mm"] = (table["length_mm"] / table["length_px"]).where(table["n"] > 0)
     table["pixel_sigma_mm"] = table["pixel_mm"] * table["length_sigma_px"] / table["length_px"]
     return table
@@ -101,5 +112,5 @@ def _crossings(tones, chart_map, end, axis, sign, lanes):
     dark = seen[:, near] < (inside + outside)[:, None] / 2
     place = dark.mean(axis=1) * END_REACH_PX - END_REACH_PX / 2
     # else it is the end of something else
-    good = (outside - inside > 0.2) & (outside > 0.6) & (np.abs(place) < 2)
+    good = (outside - inside > 0.2) & (outside > 0.6) & (np.abs(place) < END_OFF_PX)
     return np.where(good, place, np.nan)

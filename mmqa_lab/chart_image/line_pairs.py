@@ -21,7 +21,7 @@ from mmqa_lab.charts import Bar, Layout, LinePairs
 
 __all__ = [
     "HIDDEN", "MOVED", "SMALLEST_GAP", "SMALLEST_PAIR_PX", "PairReading", "Resolution",
-    "expected_contrast", "read_pairs", "read_pattern", "resolution",
+    "expected_contrast", "is_crossed", "read_pairs", "read_pattern", "resolution",
 ]  # fmt: skip
 
 SMALLEST_GAP = 0.10
@@ -36,9 +36,9 @@ HIDDEN, SURE_CONTRAST = "hidden", 0.3
 
 MOVED = "bars not where they are printed"
 
-RIM_MM, RIM_TONE, RIM_SHARE = 12.0, 0.2, 0.04
-"""White around a pattern is looked at, so far around. The pattern is hidden where
-that share of it is so far from white."""
+RIM_MM, RIM_TONE, RIM_NOISE, RIM_SHARE = 12.0, 0.2, 4.0, 0.04
+"""White around a pattern is looked at, so far around. The pattern is hidden where that share of it
+is so far from white, and by so many times the noise."""
 
 TURN_STEPS = 64
 """Steps of a pair in which waves are sought."""
@@ -75,8 +75,10 @@ def read_pairs(tones: Tones, layout: Layout, chart_map: ChartMap) -> pd.DataFram
     readings = [read_pattern(tones, pairs, chart_map) for pairs in patterns]
     table = pd.DataFrame(readings, columns=list(PairReading.__dataclass_fields__))
     table = table.sort_values(["direction", "width_mm"], ascending=[True, False], ignore_index=True)
-    crossed = [pairs.name for pairs in patterns if _crossed(tones, pairs, chart_map)]
-    seen = table["resolved"] | (table["width_px"] < SMALLEST_PAIR_PX)
+    crossed = [pairs.name for pairs in patterns if is_crossed(tones, pairs, chart_map)]
+    # what is finer than all that is resolved may be too fine, whatever is around it
+    finest = table.loc[table["resolved"], "width_px"].min()
+    seen = table["resolved"] | (table["width_px"] < np.fmax(finest, SMALLEST_PAIR_PX))
     table.loc[table["name"].isin(crossed) & ~seen, "reason"] = HIDDEN
     for _, ladder in table.groupby("direction"):
         # lobes of defocus and motion stay below that: what is coarser would be seen too
@@ -307,7 +309,7 @@ def _pixels(tones, pairs, chart_map):
     return across[inside], along[inside], values[inside], width_px, length_px
 
 
-def _crossed(tones, pairs, chart_map):
+def is_crossed(tones, pairs, chart_map):
     """Whether the white around a pattern is not white everywhere: something hides part of it."""
     if tones.odd is None:
         return False
@@ -315,7 +317,7 @@ def _crossed(tones, pairs, chart_map):
     outline = Bar("rim", *(low - RIM_MM), *(high - low + 2 * RIM_MM)).corners()
     places, odd = replace(tones, values=tones.odd).near(chart_map, outline)
     rim = ((places < low) | (places > high)).any(axis=1)
-    return rim.sum() > 10 and (odd[rim] > RIM_TONE).mean() > RIM_SHARE
+    return rim.sum() > 10 and (odd[rim] > max(RIM_TONE, RIM_NOISE * tones.noise)).mean() > RIM_SHARE
 
 
 def _wave(across, values, pairs, width_px):

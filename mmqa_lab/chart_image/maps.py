@@ -20,7 +20,8 @@ from mmqa_lab._checks import check_points, check_positive, refuse
 from mmqa_lab.charts import Layout
 
 __all__ = [
-    "Bend", "ChartMap", "LensCamera", "PanoramaCamera", "four_corners", "plain", "side", "unit",
+    "Bend", "ChartMap", "LensCamera", "PanoramaCamera", "four_corners", "mirrored",
+    "plain", "side", "unit",
 ]  # fmt: skip
 
 UNDISTORT = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 100, 1e-10)
@@ -44,6 +45,8 @@ class ChartMap:
         Is added to places before the matrix.
     charts : int
         That were seen in the image; this is the largest.
+    blur_px : float
+        Standard deviation of the point spread, pixel included, with which the print fits best.
 
     Raises
     ------
@@ -65,6 +68,7 @@ class ChartMap:
     source: str = "given"
     bend: Bend | None = None
     charts: int = 1
+    blur_px: float = 0.65
 
     @classmethod
     def from_points(
@@ -273,6 +277,12 @@ def four_corners(corners, *, columns):
     corners = check_points(corners, name="corners", columns=columns, minimum=4)
     refuse(len(corners) != 4, "corners", f"{len(corners)} given", "four")
     return corners
+
+
+def mirrored(chart_map, layout):
+    """The map of the chart's mirror image at the same place."""
+    flip = np.array([[-1.0, 0, layout.width], [0, 1, 0], [0, 0, 1]])
+    return replace(chart_map, matrix=chart_map.matrix @ flip, bend=None)
 
 
 def plain(chart_map, layout, **other):

@@ -221,7 +221,7 @@ class ImageQuality(Shown):
             row[f"w_{direction}_next_mm"] = found.next_mm
         row["noise_share"] = self.tones.noise
         row["clipped_share"] = self.tones.clipped_share
-        return pd.DataFrame([row | {"remark": "; ".join(self.remarks)}])
+        return pd.DataFrame([row | {"remarks": "; ".join(self.remarks)}])
 
     @property
     def remarks(self) -> tuple[str, ...]:

@@ -13,8 +13,7 @@ ENLARGEMENTS, ENLARGED_PIXELS = (1, 2, 4), 4e6
 
 def decoded(grey, markers, smaller):
     """Numbers and corners of the coded targets that are seen in an image made smaller."""
-    dictionary = next(iter(markers.values())).dictionary
-    book = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
+    dictionaries = sorted({one.dictionary for one in markers.values()})
     settings = cv2.aruco.DetectorParameters()
     settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_CONTOUR
     best = []
@@ -23,10 +22,13 @@ def decoded(grey, markers, smaller):
         large = cv2.resize(grey, None, fx=times, fy=times, interpolation=way)
         # targets of less than 6 px a side cannot be decoded, their contours would cost time
         settings.minMarkerPerimeterRate = 24 * times / max(large.shape)
-        corners, numbers, _ = cv2.aruco.ArucoDetector(book, settings).detectMarkers(large)
-        places = [(seen.reshape(4, 2).astype(float) + 0.5) / times - 0.5 for seen in corners]
-        numbers = [] if numbers is None else np.ravel(numbers).tolist()
-        ours = [one for one in zip(numbers, places, strict=True) if one[0] in markers]
+        ours = []
+        for name in dictionaries:
+            book = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+            corners, numbers, _ = cv2.aruco.ArucoDetector(book, settings).detectMarkers(large)
+            places = [(seen.reshape(4, 2).astype(float) + 0.5) / times - 0.5 for seen in corners]
+            keys = [] if numbers is None else [(name, one) for one in np.ravel(numbers).tolist()]
+            ours += [one for one in zip(keys, places, strict=True) if one[0] in markers]
         # a mirrored square is none of the chart's targets
         found = [one for one in ours if np.linalg.det(one[1][1:3] - one[1][:2]) > 0]
         best = max(best, found, key=len)

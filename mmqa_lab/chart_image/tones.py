@@ -12,10 +12,13 @@ import numpy as np
 from mmqa_lab._checks import check_image, refuse
 from mmqa_lab.charts import reflectance
 
-__all__ = ["Tones", "find_tones"]
+__all__ = ["WIDE_PX", "Tones", "find_tones"]
 
 SMALLEST_CONTRAST = 3.0
 """Multiples of the noise by which white must differ from black."""
+
+USUAL_PX, WIDE_PX = 0.65, 1.2
+"""Point spread, pixel included, and the one from which on an image counts as blurred."""
 
 MESH_PX, RIM_PX = 4, 1.5
 """Pixels between those whose places are calculated; how deep plain white lies in white."""
@@ -105,7 +108,7 @@ def find_tones(image, layout, chart_map):
     must = f"{SMALLEST_CONTRAST:g} times the noise or more (is the chart there?)"
     refuse(not clear, "chart", shown, must)
     plain = image[white | black]
-    odd = np.where(inside & (to_white >= RIM_PX), np.abs(values - 1), np.nan)
+    odd = np.where(inside & (to_white >= RIM_PX), np.abs(values - spilt), np.nan)
     clipped = float(((plain >= 1) | (plain <= 0)).mean())
     return Tones(values, noise, clipped, odd, np.where(inside, spilt, np.nan))
 
@@ -125,7 +128,8 @@ def _printed(layout, chart_map, shape):
     cell = max(sizes.min() / 4, layout.width / 4000)
     printed = reflectance(layout, cell=cell)
     # a usual point spread, pixel included: white spills into black where bars are thin
-    seen = cv2.GaussianBlur(printed, (0, 0), 0.65 * sizes.max() / cell)
+    blur = chart_map.blur_px if chart_map.blur_px > WIDE_PX else USUAL_PX
+    seen = cv2.GaussianBlur(printed, (0, 0), blur * sizes.max() / cell)
     depths = [_depth(np.abs(printed - tone) < 1e-3) * (cell / sizes.max()) for tone in (1.0, 0.0)]
     places = np.float32(places / cell - 0.5)
     constant = {"interpolation": cv2.INTER_LINEAR, "borderMode": cv2.BORDER_CONSTANT}

@@ -269,7 +269,8 @@ def _letters(text, font):
         raise ValueError(f"Invalid text {text!r}. Must do without {missing[0]!r}: not in the font.")
     face = FontProperties(fname=file)
     cap = TextPath((0, 0), "H", size=1, prop=face).get_extents().ymax
+    plain = text.replace("$", r"\$")  # no formula
     # matplotlib flattens curves to half a unit: here a two thousandth of the capitals
-    outline = TextPath((0, 0), text, size=1000 / cap, prop=face).cleaned(curves=False)
+    outline = TextPath((0, 0), plain, size=1000 / cap, prop=face).cleaned(curves=False)
     drawn = outline.codes != Outline.STOP
     return Outline(outline.vertices[drawn] / 1000, outline.codes[drawn])

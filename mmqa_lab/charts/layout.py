@@ -11,9 +11,17 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 
+import cv2
 import numpy as np
 
-from mmqa_lab._checks import check_choice, check_count, check_number, check_positive, refuse
+from mmqa_lab._checks import (
+    check_choice,
+    check_count,
+    check_known,
+    check_number,
+    check_positive,
+    refuse,
+)  # fmt: skip
 from mmqa_lab.charts.elements import BLACK, WHITE, Bar, Cells, LinePairs, Marker, Rectangle, Text
 
 __all__ = ["Layout", "how_to_use", "imaging_chart", "point_chart"]
@@ -29,6 +37,9 @@ BAR_MM = 800.0
 
 LENGTHS = {"x", "y", "width", "height", "size", "pair", "length", "cap"}
 """Fields of elements that are lengths."""
+
+BOOKS = tuple(name for name in dir(cv2.aruco) if name.startswith("DICT_"))
+"""OpenCV's dictionaries of coded targets."""
 
 ELEMENTS = {kind.__name__: kind for kind in (Bar, LinePairs, Marker, Text)}
 
@@ -68,6 +79,7 @@ class Layout(Rectangle):
     def __post_init__(self):
         check_positive(self.width, "chart width", unit="mm")
         check_positive(self.height, "chart height", unit="mm")
+        object.__setattr__(self, "elements", tuple(self.elements))
         repeats = len(self._by_name) < len(self.elements)
         refuse(repeats, f"chart {self.name!r}", "a name repeats", "distinct")
         for element in self.elements:
@@ -246,6 +258,11 @@ def _check_element(element):
     """Raise if a size, tone or direction of an element is not possible."""
     if isinstance(element, LinePairs):
         check_choice(element.direction, f"direction of element {element.name!r}", ("h", "v"))
+    if isinstance(element, Marker):
+        name = f"target {element.name!r}"
+        book = getattr(cv2.aruco, check_known(element.dictionary, f"dictionary of {name}", BOOKS))
+        most = len(cv2.aruco.getPredefinedDictionary(book).bytesList) - 1
+        check_number(check_count(element.identifier, f"number of {name}", low=0), name, high=most)
     for side in ("width", "height"):
         check_positive(getattr(element, side), f"{side} of element {element.name!r}", unit="mm")
     for name in ("tone", "ground"):

@@ -141,7 +141,7 @@ def evaluate(
         return frame.assign(remarks=[one or said for one in frame["remarks"]] if chosen else said)
 
     frame = each_file(clouds, "cloud", measured)
-    if out is not None:
+    if out is not None and done:
         say_shown(out, frame, "cloud")
         write_figure(out, lambda: done[-1].plot(detail=detail))
     return frame

@@ -86,7 +86,7 @@ def image(
     linear
         Grey values are linear in light.
     out
-        Draw the last image into this file: .pdf, .png or .svg.
+        Draw the last image that can be measured into this file: .pdf, .png or .svg.
     """
     from mmqa_lab import chart_image, charts
 
@@ -100,22 +100,23 @@ def image(
     layout, done = charts.imaging_chart(chart).printed(printed_mm), []
 
     def measured(file):
-        done.append(chart_image.evaluate_file(file, layout, **choices))
-        return done[-1].to_frame()
+        quality = chart_image.evaluate_file(file, layout, **choices)
+        done.append((file.name, quality))
+        return quality.to_frame()
 
-    frame = each_file(images, "image", measured, remark="remark")
-    if out is not None:
-        say_shown(out, frame, "image")
-        write_figure(out, lambda: _two_panels(done[-1]))
+    frame = each_file(images, "image", measured)
+    if out is not None and done:
+        say_shown(out, frame, "file")
+        write_figure(out, lambda: _two_panels(*done[-1]))
     return frame
 
 
-def _two_panels(quality):
+def _two_panels(name, quality):
     """A photograph of the chart, and the contrasts of its line pairs."""
     from mmqa_lab import plots
 
     figure, axes = plots.subplots(1, 2, width="double", height_mm=85)
-    quality.plot(ax=axes[0])
+    quality.plot(ax=axes[0]).set_title(name)
     quality.plot_contrast(ax=axes[1])
     return figure
 
@@ -173,7 +174,8 @@ def radiometry(
         values = io.read_bands(file)
         shown = known
         if known is not None and "image" in known:
-            shown = known[known["image"].isin([file.name, file.stem])]
+            names = known["image"].astype(str).str.strip().str.casefold()
+            shown = known[names.isin([file.name.casefold(), file.stem.casefold()])]
         return image_targets.measure(values, measure, targets=shown, linear=linear)
 
     return each_file(images, "image", measured, column="image")

@@ -80,7 +80,7 @@ def table(function):
         if report is not None:
             _write_report(report, function.__name__, frame, inputs, choices.get("out"))
         print(as_json(frame) if json else as_text(frame))
-        return int(frame.attrs.get("failed", 0) > 0)
+        return frame.attrs.get("status", 0)
 
     only = inspect.Parameter.KEYWORD_ONLY
     shared = [
@@ -126,15 +126,12 @@ def each_file(files, unit, measured, *, column="file", remark="remarks"):
         table[remark] = [" ".join([*(s for s in told if s not in o), o]).strip() for o in own]
         table.insert(0, column, file.name)
         tables.append(table)
-    if len(errors) == len(files):
+    if len(errors) == len(files) == 1:
         for sentence in lost:
             warnings.warn(sentence, stacklevel=2)
-        said = sentence_of(errors[0], files[0])
-        if len(files) > 1 and files[0].name not in said:
-            said = said.replace("Invalid", f"Invalid {files[0].name},", 1)
-        raise ValueError(said) from errors[0]
+        raise ValueError(sentence_of(errors[0], files[0])) from errors[0]
     whole = pd.concat(tables, ignore_index=True)
-    whole.attrs["failed"] = len(errors)
+    whole.attrs["status"] = 2 if len(errors) == len(files) else int(len(errors) > 0)
     return whole
 
 

@@ -223,7 +223,7 @@ def _window(layout, chart_map, margin):
         raise ValueError("Invalid view: the chart lies behind the camera. Must be in view.")
     low = np.floor(pixels.min(axis=0)).astype(int) - margin
     high = np.ceil(pixels.max(axis=0)).astype(int) + margin + 1
-    if chart_map.camera is not None:
+    if isinstance(chart_map.camera, PanoramaCamera):
         limit = chart_map.camera.width, chart_map.camera.height
         low, high = np.maximum(low, 0), np.minimum(high, limit)
     size = high - low
