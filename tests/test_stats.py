@@ -100,3 +100,13 @@ def test_rank_correlations_ignore_order_scale_and_gaps(rng):
     assert stats.rank_correlation(1e6 * rows[:, order], true[order]) == pytest.approx(found)
     assert found[0] == pytest.approx(spearmanr(rows[0, 5:], true[5:])[0])
     assert np.isnan(stats.rank_correlation(np.ones((1, 40)), true)[0])
+
+
+def test_infinity_is_a_large_value_in_an_interval_of_a_median():
+    values = np.random.default_rng(1).normal(5, 1, 1600)
+    block, far = np.arange(1600) % 16, values > 7
+    assert far.sum() > 20
+    found = stats.median_interval(np.where(far, np.inf, values), block)
+    assert found == stats.median_interval(np.where(far, 1e9, values), block)
+    ratio = stats.median_ratio_interval(np.where(far, np.inf, values), values + 1, block)
+    assert np.isfinite(ratio).all()

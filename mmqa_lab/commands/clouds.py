@@ -155,7 +155,7 @@ def _with_doubts(quality):
     for row in table.itertuples():
         name = next((one for one in tender.QUANTITIES if one.startswith(row.figure)), row.figure)
         known = {"low": row.low, "high": row.high, "remarks": " ".join(quality.remarks)}
-        said.append(tender.verdict(row.value, "<=", float("inf"), quantity=name, **known))
+        said.append(tender.verdict(row.value, "<=", 1e300, quantity=name, **known))
     return table.assign(doubt=["" if one == "met" else one for one in said])
 
 

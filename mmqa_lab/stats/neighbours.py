@@ -110,9 +110,17 @@ def mean_reach(values: ArrayLike, block: ArrayLike) -> float:
     return float(_reach((values - values.sum() / n)[None] / n, block)[0])
 
 
+def _check_order(values, name, minimum):
+    """A row of float64 whose order counts: infinity is a large value, NaN one that is missing."""
+    row = real_array(values, name).astype(np.float64)
+    check_row(row[np.isfinite(row)] if row.ndim == 1 else row, name, minimum=minimum)
+    return row
+
+
 def _in_blocks(block, *rows, missing=False):
     """Rows of values as float64 and the whole numbers of their blocks, of one length."""
-    rows = [check_row(row, "values", minimum=0, missing=missing) for row in rows]
+    check = _check_order if missing else check_row
+    rows = [check(row, "values", minimum=0) for row in rows]
     block = real_array(block, "block", kinds="iu")
     lengths = {*map(len, rows), block.shape[-1] if block.ndim else -1}
     found = f"lengths {', '.join(map(str, sorted(lengths)))}"
