@@ -223,7 +223,7 @@ def test_a_click_in_the_list_chooses_a_plane_of_any_cloud(clouds, screen):
     assert abs(fit_plane(tool.points).normal[1]) == pytest.approx(1)
     tool._clouds.value = "wall"
     assert tool.name == "wall"
-    assert "slope 90°" in tool._list.label
+    assert "wall facing" in tool._list.label
     tool._scene.draw_without_rendering()
     ticks = [text.get_text() for text in tool._scene.axes[0].get_xticklabels()]
     assert min(map(float, ticks)) > 499_000  # easting as it is

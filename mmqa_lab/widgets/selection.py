@@ -10,6 +10,7 @@ from html import escape
 from typing import Any
 
 import ipywidgets
+import matplotlib.pyplot as plt
 import numpy as np
 from IPython.display import HTML, Javascript, display
 from IPython.utils.capture import capture_output
@@ -32,7 +33,7 @@ from mmqa_lab.widgets.screen import SPOKEN, WIDE, canvas_of, forget_zoom, in_tur
 __all__ = ["MISSED", "SelectionTool"]
 
 # Margins of the tool's figure, as shares of it, and between its panels, as shares of a panel.
-MARGINS = {"left": 0.08, "right": 0.98, "bottom": 0.09, "top": 0.9, "wspace": 0.25, "hspace": 1}
+MARGINS = {"left": 0.09, "right": 0.98, "bottom": 0.09, "top": 0.87, "wspace": 0.42, "hspace": 1}
 
 # A cross-section shows this share of the selected points, on either side of its middle.
 SECTION = 0.05
@@ -102,9 +103,9 @@ class SelectionTool:
         self._detail, self._written, self._turn = detail, "", 0
         self.text = ipywidgets.HTML()
         self.figure = Figure(
-            figsize=(7.2, 5.4), dpi=100, layout=PlaceHolderLayoutEngine(True, True)
+            figsize=(7.2, 5.8), dpi=100, layout=PlaceHolderLayoutEngine(True, True)
         )
-        ratios = {"width_ratios": (1.8, 1), "height_ratios": (1, 1, 0.7)}
+        ratios = {"width_ratios": (1.6, 1), "height_ratios": (1, 1, 0.7)}
         axes = self.figure.subplot_mosaic("ab;ac;dd", **ratios, gridspec_kw=MARGINS)
         self._map, *self._panels = axes.values()
         self._map.set(xlabel="along axis 1 (m)", ylabel="along axis 2 (m)", aspect="equal")
@@ -357,6 +358,8 @@ class SelectionTool:
             lines.insert(0, "Working: these are the points around the middle, all points follow.")
         self.text.value = f"<b>{'<br>'.join(lines)}</b>"
         quality.draw_histograms(*self._panels[:2])
+        for panel in self._panels[:2]:  # they are narrow
+            plt.setp(panel.get_legend().get_texts(), fontsize=7)
         off_mm = 1000 * quality.plane.distances(self._drawn)
         self._dots.set(array=off_mm, clim=np.multiply([-3, 3], quality.sigma_mad_mm))
         self._draw_section()

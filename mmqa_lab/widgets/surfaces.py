@@ -40,6 +40,9 @@ TINTS = ("#56B4E9", "#009E73", "#E69F00", "#CC79A7", "#F0E442", "#999999")
 
 AXES = ("easting", "northing", "height")
 
+# Looks of the name of a kept selection.
+TAG = {"fontsize": 7, "ha": "center", "bbox": {"fc": "w", "lw": 0, "pad": 1, "alpha": 0.8}}
+
 # Cosine of the slope of a floor, 25 degrees; its difference from 1 is that of a wall, 84 degrees.
 LEVEL_COSINE = 0.9
 
@@ -117,11 +120,11 @@ class SurfaceTool(SelectionTool):
             named = ", ".join(self._points)
             raise Halt(f"Invalid cloud {named}: no plane of {size:g} m or more. Must have one.")
         self.planes = pd.DataFrame(rows)
-        self._scene = Figure(figsize=(4.8, 4.2), dpi=100, layout="constrained")
+        self._scene = Figure(figsize=(4.2, 4), dpi=100, layout="constrained")
         self._scene.get_layout_engine().set(rect=(0, 0, 0.93, 1))  # buttons are to the right
         self._scene_canvas = canvas_of(self._scene)
         self._scene.canvas.mpl_connect("button_press_event", self._clicked)
-        look = {"layout": {"width": "24em"}, "style": {"description_width": "4em"}}
+        look = {"layout": {"width": "23.5em"}, "style": {"description_width": "4em"}}
         self._clouds = ipywidgets.Dropdown(options=listed, description="cloud", **look)
         self._clouds.observe(lambda change: self.choose(change["new"]), names="value")
         self._list = ipywidgets.Select(description="plane", rows=LISTED, **look)
@@ -211,7 +214,7 @@ class SurfaceTool(SelectionTool):
         forget_zoom(self._scene)
         rows = self.planes[self.planes["cloud"] == self.name].head(LISTED)
         rows = rows[rows["points"] >= LISTED_SHARE * rows["points"].max()].to_dict("records")
-        text = "{plane}: {kind}, {area_m2:.1f} m², {up_m:.1f} m up, slope {slope_deg:.0f}°"
+        text = "{plane}: {kind}, {area_m2:.0f} m², {up_m:.1f} m up"
         self.number = 0
         self._list.options = [(text.format(**row), row["plane"]) for row in rows]
         self._outlines = []
@@ -234,7 +237,7 @@ class SurfaceTool(SelectionTool):
             if one.cloud == self.name:
                 ring = one.polygon[[*range(len(one.polygon)), 0]][:, self._across]
                 self._outlines += ax.plot(*ring.T, color="k", lw=1.2)
-                self._outlines.append(ax.annotate(name, ring[0], fontsize=7))
+                self._outlines.append(ax.annotate(name, ring[:-1].mean(axis=0), **TAG))
         self._scene.canvas.draw_idle()
 
     def _listed(self, plane):

@@ -113,7 +113,7 @@ def test_reports_and_selections_of_ones_own_cloud_have_folders_of_their_own(
 @pytest.fixture
 def rng_cloud(lab_folder, rng):
     """A floor in a file whose name has dots and an umlaut."""
-    path = lab_folder / "Büro 2. OG.ply"
+    path = lab_folder / "Büro 2. OG.laz"
     floor = rng.uniform(0, 3, (4000, 3)) * [1, 1, 0] + rng.normal(0, 0.002, (4000, 3))
     write_cloud(path, Cloud(floor))
     yield path
