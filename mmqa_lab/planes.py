@@ -378,7 +378,8 @@ def fit_circle(points: ArrayLike, *, diameter: float | None = None) -> Circle:
     off, ways = misfits(circles[best]), slopes(circles[best])
     pulls = off / (1 + (off / FAR_FROM_CIRCLE_M) ** 2)
     normal = fits[best].jac.T @ fits[best].jac  # scaled by the loss
-    freedom, covariance = len(xy) - ways.shape[1], np.full((2, 2), np.nan)
+    places = len(np.unique(xy, axis=0))  # a row that is there twice says nothing new
+    freedom, covariance = places - ways.shape[1], np.full((2, 2), np.nan)
     # a rival lies more than half a radius away, 120 degrees or more about the points' middle
     others = np.array(circles)[:, :2]
     apart = np.hypot(*(others - centre).T) > radius / 2
@@ -392,7 +393,7 @@ def fit_circle(points: ArrayLike, *, diameter: float | None = None) -> Circle:
         each = len(xy) / (freedom - 2) * effects @ effects.T
         alike = pulls @ off / (freedom - 2) * inverse
         larger = max(each, alike, key=lambda one: np.trace(one[:2, :2]))
-        scatter = np.sqrt(pulls @ off / freedom) / radius
+        scatter = np.sqrt(pulls @ off / freedom * places / len(xy)) / radius
         # beyond these limits the errors of the centre are not normal
         if not free or (larger[2, 2] < 0.12**2 and scatter < 0.15):
             covariance = larger[:2, :2]
@@ -416,7 +417,8 @@ def _principal_axes(points, robust):
             break
         centre, vectors = _principal(local, weights)
         previous = weights
-    signs = np.sign(vectors[np.arange(len(vectors)), np.abs(vectors).argmax(axis=1)])
+    largest = np.abs(vectors).round(9).argmax(axis=1)  # the first of equal ones
+    signs = np.sign(vectors[np.arange(len(vectors)), largest])
     return origin, centre, vectors * signs[:, None]
 
 
@@ -428,5 +430,10 @@ def _principal(local, weights):
     values, vectors = np.linalg.eigh(scatter)
     if values[1] <= 1e-12 * values[-1] or values[-1] <= 0:
         shape = "line or spot. Must span a plane" if len(values) == 3 else "spot. Must span a line"
-        raise ValueError(f"Invalid points: {len(local)} of them on one {shape}.")
+        used = np.count_nonzero(weights)
+        raise ValueError(
+            f"Invalid points: {used} of {len(local)} that count on one {shape}."
+            if used < len(local)
+            else f"Invalid points: {used} of them on one {shape}."
+        )
     return centre, vectors.T

@@ -15,7 +15,11 @@ from hypothesis.extra.numpy import arrays
 from mmqa_lab.lines import (
     components,
     correspond,
+    directions,
+    fit_displacement,
+    lengths,
     match_displaced,
+    midpoints,
     pairing_scores,
     peak_threshold,
 )
@@ -318,3 +322,22 @@ def test_equal_bays_give_no_answer_a_bay_aside():
         test, model = (ends + rng.normal(0, 0.02, ends.shape) for ends in (test, model))
         found = match_displaced(test, model)
         assert found.n == 0 or np.linalg.norm(found.vector - [1.0, -2.4, 0.0]) < 0.3
+
+
+def test_lines_that_are_there_twice_make_no_displacement_surer(rng):
+    model = rng.uniform(0, 20, (12, 2, 3))
+    test, pairs = model + [0.3, 0, 0.1] + rng.normal(0, 0.05, model.shape), np.eye(12, dtype=bool)
+    once = fit_displacement(test, model, pairs)
+    often = fit_displacement(np.tile(test, (3, 1, 1)), model, np.tile(pairs, (3, 1)))
+    np.testing.assert_allclose(often.covariance, once.covariance, rtol=0.3)
+    with pytest.raises(ValueError, match="Invalid pairs"):
+        fit_displacement(test, model, [[0, 0], [1, 1]])
+
+
+def test_whole_numbers_have_the_lengths_of_their_values():
+    ends = np.array([[[5, 0, 0], [0, 0, 0]]], dtype=np.uint16)
+    assert lengths(ends).tolist() == [5]
+    assert directions(ends).tolist() == [[-1, 0, 0]]
+    assert midpoints(ends).tolist() == [[2.5, 0, 0]]
+    with pytest.raises(ValueError, match="Invalid distances"):
+        correspond([[np.nan, 1.0]], 1.0)

@@ -119,3 +119,12 @@ def test_speeds_that_nothing_limits_are_nan_and_the_command_lists_them(capsys):
 def test_a_draw_that_cannot_be_names_the_sigma_that_was_given():
     with pytest.raises(ValueError, match=r"Invalid sigmas {'speed_m_s': 9}\. Must be small"):
         propagate(MIMIC, Target(range_m=5), sigmas={"speed_m_s": 9})
+
+
+def test_false_inputs_are_refused_by_their_name():
+    wall = Target(range_m=5)
+    with pytest.raises(ValueError, match=r"Invalid detail -0\.05"):
+        speeds(MIMIC, wall, detail=-0.05)
+    for plan in (lambda t: speeds(MIMIC, t, detail=0.05), lambda t: propagate(MIMIC, t, sigmas={})):
+        with pytest.raises(ValueError, match="Invalid target heading -120"):
+            plan(Target(heading_deg=-120, range_m=5))

@@ -9,6 +9,7 @@ from scipy import optimize, stats
 from mmqa_lab.planes import (
     CONSISTENT_SCALE,
     PAPER_SCALE,
+    fit_circle,
     fit_line,
     fit_plane,
     sigma_mad,
@@ -127,3 +128,17 @@ def test_horizontal_axes(rng):
     assert level[2] == 0
     assert level @ slope == pytest.approx(0, abs=1e-15)
     assert np.cross(level, slope) @ plane.normal == pytest.approx(1)
+
+
+def test_a_circle_of_rows_that_are_there_twice_is_no_surer(rng):
+    turn = rng.uniform(0, 3, 12)
+    arc = 0.1 * np.stack([np.cos(turn), np.sin(turn)], axis=1) + rng.normal(0, 0.002, (12, 2))
+    once, often = (fit_circle(points) for points in (arc, np.tile(arc, (10, 1))))
+    assert often.std == pytest.approx(once.std, rel=1e-3)
+
+
+def test_the_normal_of_a_wall_at_45_degrees_does_not_depend_on_the_order(rng):
+    along, up = np.meshgrid(np.arange(20.0), np.arange(10.0))
+    wall = np.stack([along, -along, up], axis=-1).reshape(-1, 3)
+    normals = [fit_plane(rng.permutation(wall)).normal.round(6) for _ in range(12)]
+    assert {tuple(np.sign(normal)[:2]) for normal in normals} == {(1.0, 1.0)}

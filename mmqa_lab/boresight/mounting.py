@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_choice, check_points
+from mmqa_lab._checks import check_choice, check_columns, check_count, check_number, check_points
 from mmqa_lab._results import Shown, sentences
 from mmqa_lab.boresight.adjustment import PARAMETERS, Adjustment, stay_open
 from mmqa_lab.boresight.features import planes_in_common, points_at_control, poles_in_common
@@ -184,6 +184,13 @@ def calibrate(
     [0.3]
     """
     lever = check_points(np.atleast_2d(lever_arms_m), name="lever_arms_m")
+    patches = check_count(patches, "patches")
+    paths = {"path_std_m": path_std_m, "path_std_deg": path_std_deg}
+    for name, std in paths.items():
+        for one in () if std is None else np.ravel(std):
+            check_number(float(one), name, low=0)
+    if poles is not None:
+        check_columns(poles, ("x_m", "y_m", "z_m"), "poles")
     longest = np.linalg.norm(lever, axis=1).max()
     if longest > 10:  # not in metres, or from another point
         raise ValueError(f"Invalid lever_arms_m: {longest:.1f} m long. Must be at most 10 m.")

@@ -30,8 +30,11 @@ class Shots:
     @classmethod
     def of(cls, cloud, trajectory, lever, origin, drive=0):
         """The shots of a cloud; places count from the origin."""
-        head = cloud["head"].astype(int) if "head" in cloud else np.zeros(len(cloud), dtype=int)
-        name, wrong = f"cloud {cloud.name or drive + 1}", (head < 0) | (head >= len(lever))
+        name = f"cloud {cloud.name or drive + 1}"
+        if not len(cloud):
+            raise ValueError(f"Invalid {name}: no points. Must have some.")
+        head = cloud["head"] if "head" in cloud else np.zeros(len(cloud), dtype=int)
+        wrong = (head < 0) | (head >= len(lever)) | (head % 1 != 0)
         if wrong.any():
             raise ValueError(
                 f"Invalid head {head[wrong][0]} of {name}. Must be 0 to {len(lever) - 1}: heads "
@@ -42,6 +45,7 @@ class Shots:
             position, rotation = trajectory.at(np.asarray(cloud["gps_time"], dtype=np.float64))
         except ValueError as error:
             raise ValueError(f"Invalid {name}: {str(error).removeprefix('Invalid ')}") from None
+        head = head.astype(int)
         beam = np.einsum("nij,ni->nj", rotation, cloud.points - position) - lever[head]
         drives = np.full(len(cloud), drive)
         return cls(head, drives, position - origin, rotation, lever[head], beam)

@@ -116,7 +116,8 @@ def fit_displacement(test: ArrayLike, model: ArrayLike, pairs: ArrayLike) -> Dis
     test, model : array_like, shapes (p, 2, 3) and (q, 2, 3)
         Segments, m.
     pairs : array_like of bool, shape (p, q)
-        True where a test and a model segment correspond.
+        True where a test and a model segment correspond. Test lines that are there twice count
+        once.
 
     Returns
     -------
@@ -133,8 +134,9 @@ def fit_displacement(test: ArrayLike, model: ArrayLike, pairs: ArrayLike) -> Dis
     test, model = check_segments(test, "test"), check_segments(model, "model")
     pairs = check_pairs(pairs, (len(test), len(model)))
     rows, columns = np.nonzero(pairs)
+    same = np.unique(test, axis=0, return_inverse=True)[1].ravel()  # lines that are there twice
     unknown = Displacement(np.full(3, np.nan), np.full((3, 3), np.nan), pairs, np.nan, np.zeros(3))
-    if len(np.unique(rows)) < 3:
+    if len(np.unique(same[rows])) < 3:
         return unknown
     test, model = from_common_origin(test, model)
     lines = paired(test, model, rows, columns)
@@ -144,14 +146,14 @@ def fit_displacement(test: ArrayLike, model: ArrayLike, pairs: ArrayLike) -> Dis
         return unknown
     for _ in range(3):  # the common stretches depend on the displacement
         centre = lines.place.mean(axis=0)
-        solution, covariance = _solved(lines, centre, solution)
+        solution, covariance = _solved(lines, same[rows], centre, solution)
         lines = lines.again(solution[:3] + solution[3] * levers(lines.place - centre))
     turn = float(np.degrees(solution[3]))
     return Displacement(solution[:3], covariance, pairs, turn, centre)
 
 
-def _solved(lines, centre, solution):
-    """Vector and turn (4,), and the vector's covariance by jackknife over the test lines."""
+def _solved(lines, which, centre, solution):
+    """Vector and turn (4,), and the vector's covariance by jackknife over the distinct lines."""
     design, prior = lines.design(centre), np.diag([0, 0, 0, (0.1 / TURN_RAD) ** 2])
     for _ in range(10):
         off = lines.offset - design @ solution
@@ -160,7 +162,7 @@ def _solved(lines, centre, solution):
         each = np.einsum("n,nkd,nke->nde", weights, design, design)
         right = np.einsum("n,nkd,nk->nd", weights, design, lines.offset)
         solution = np.linalg.solve(each.sum(axis=0) + prior, right.sum(axis=0))
-    members = lines.rows == np.unique(lines.rows)[:, None]
+    members = which == np.unique(which)[:, None]
     rest = (~members @ each.reshape(-1, 16)).reshape(-1, 4, 4) + prior + 1e-9 * np.eye(4)
     spread = np.linalg.solve(rest, (~members @ right)[..., None])[:, :3, 0] - solution[:3]
     n = len(members)

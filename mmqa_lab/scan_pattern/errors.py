@@ -55,7 +55,8 @@ def propagate(
     -------
     DataFrame
         One row per quantity: ``quantity``, ``predicted``, ``std``, the 95 % interval ``low`` and
-        ``high``, and the number of draws ``n``.
+        ``high`` (NaN where a draw has no value, as near a level surface), and the number of draws
+        ``n`` that have one.
 
     Raises
     ------
@@ -76,6 +77,7 @@ def propagate(
         check_choice(name, "input", INPUTS)
         check_number(sigma, f"sigma of {name}", low=0)
     draws, rng = check_count(draws, "draws", low=100), np.random.default_rng(seed)
+    predicted = scan_lattice(setup, target).to_frame().iloc[0].to_numpy()
     errors = {name: sigma * rng.standard_normal(draws) for name, sigma in sigmas.items()}
     try:
         drawn = _with_errors(setup, target, errors).to_frame()
@@ -84,9 +86,9 @@ def propagate(
             f"Invalid sigmas {sigmas}. Must be small enough: a draw is an impossible set-up."
         ) from None
     low, high = np.quantile(drawn, (0.025, 0.975), axis=0)
-    predicted = scan_lattice(setup, target).to_frame().iloc[0].to_numpy()
-    table = {"quantity": LATTICE_QUANTITIES, "predicted": predicted, "std": drawn.std().to_numpy()}
-    return pd.DataFrame({**table, "low": low, "high": high, "n": draws})
+    table = {"quantity": LATTICE_QUANTITIES, "predicted": predicted}
+    table["std"] = drawn.std(skipna=False).to_numpy()
+    return pd.DataFrame({**table, "low": low, "high": high, "n": drawn.notna().sum().to_numpy()})
 
 
 def explain_error(

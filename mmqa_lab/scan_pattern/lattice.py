@@ -153,6 +153,9 @@ def scan_lattice(setup: ScanSetup, patch: Patch | Target) -> Lattice:
 
     Notes
     -----
+    The drive is straight: on a curve of 60 m radius the spacing beside it is off by a sixth, on one
+    of 25 m by a third.
+
     The lattice is local: over a wall of some metres range and incidence change, and so do the
     steps. Each step has the spot in its middle. A step from the spot to the next pulse differs from
     it by half of the change of spacing from step to step (0.2 to 2 %), with opposite signs upwards

@@ -294,8 +294,9 @@ def point_spacing(
 def _check_strike(alpha_scan, alpha_targ):
     """Refuse angles at which the horizontal pulse misses the front of the target."""
     scan = check_values(alpha_scan, "alpha_scan")
-    between = np.abs(scan - check_values(alpha_targ, "alpha_targ"))
-    if (np.maximum(between, np.abs(scan)) >= 90).any():
+    between = scan - check_values(alpha_targ, "alpha_targ")
+    off = [np.abs((angle + 180) % 360 - 180) for angle in (between, scan)]
+    if (np.maximum(*off) >= 90).any():
         raise ValueError(
             f"Invalid alpha_targ {alpha_targ}. Must be < 90 degrees from {alpha_scan}."
         )

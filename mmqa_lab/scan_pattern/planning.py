@@ -116,7 +116,9 @@ def speeds(
     >>> found["speed_km_h"].round().tolist()
     [51.0, 54.0, 13.0]
     """
-    rows = []
+    detail, rho0 = check_positive(detail, "detail", unit="m"), check_positive(rho0, "rho0")
+    f, rows = check_positive(f, "f"), []
+    scan_lattice(setup, target)  # an impossible set-up is no limit that cannot be kept
     for asked, limit in (("detail_mm", 1000 * detail), ("density_per_m2", rho0), ("f", f)):
         rows.append({"asked": asked, "limit": limit, "speed_km_h": np.nan})
         with suppress(ValueError):

@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 
-from mmqa_lab._checks import check_number, check_positive
+from mmqa_lab._checks import check_choice, check_number, check_positive
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.simulate.canyon_houses import (
     house_edges,
@@ -224,7 +224,7 @@ def canyon_cloud(
     >>> 10_000 < len(cloud) < 30_000
     True
     """
-    positioning = scene.surveys[survey].positioning
+    positioning = scene.surveys[check_choice(survey, "survey", scene.surveys)].positioning
     density = check_positive(density, "density", unit="per m2")
     rng = np.random.default_rng(seed)
     faces, streets = canyon_faces(scene)

@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from mmqa_lab._checks import check_number, check_points, check_positive
+from mmqa_lab._checks import check_number, check_points, check_positive, check_values
 from mmqa_lab._compiled import njit
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.rotations import across, rotations
@@ -120,6 +120,9 @@ class Scanner:
         for name in (*sizes, "min_range_m"):
             check_number(getattr(self, name), name, low=0)
         check_number(self.dropout_share, "dropout_share", low=0, high=1)
+        check_values([self.heading_deg, self.tilt_deg], "heading_deg and tilt_deg")
+        if not self.max_range_m > 0:
+            raise ValueError(f"Invalid max_range_m {self.max_range_m}. Must be > 0 m.")
         for name in ("lever_arm_m", "boresight_deg"):
             check_points([getattr(self, name)], name=name)
 

@@ -74,7 +74,7 @@ class Trajectory:
         ): ...  # fmt: skip
 
     def __post_init__(self):
-        position = check_points(self.position, name="positions", minimum=2)
+        position = check_points(self.position, name="positions", minimum=2).copy()
         object.__setattr__(self, "position", position)
         for name in ("time", "roll", "pitch", "heading"):
             values = np.asarray(getattr(self, name), dtype=np.float64)
@@ -82,7 +82,7 @@ class Trajectory:
                 raise ValueError(
                     f"Invalid {name} of shape {values.shape}. Must be {len(position)} numbers."
                 )
-            object.__setattr__(self, name, np.broadcast_to(values, len(position)))
+            object.__setattr__(self, name, np.broadcast_to(values, len(position)).copy())
         if not (np.diff(self.time) > 0).all():
             row = int(np.argmax(np.diff(self.time) <= 0)) + 1
             raise ValueError(
@@ -301,6 +301,7 @@ def measured(
     >>> len(path.time)
     2001
     """
+    interval_s = check_positive(interval_s, "interval_s", unit="s")
     n = max(int(np.ceil(trajectory.duration_s / interval_s)) + 1, 2)
     since = np.linspace(0.0, trajectory.duration_s, n)
     values = trajectory.states(since)

@@ -63,7 +63,8 @@ def bootstrap(
     Returns
     -------
     Interval
-        ``value`` from all rows; NaN bounds if fewer than half of the resamples are measurable.
+        ``value`` from all rows; NaN bounds of a single row, or if fewer than half of the resamples
+        are measurable.
 
     Raises
     ------
@@ -96,7 +97,9 @@ def bootstrap(
     picked = (rng.integers(n, size=n) for _ in range(check_count(repeats, "repeats")))
     drawn = np.array([statistic(*(a[rows] for a in arrays)) for rows in picked])
     known = drawn[np.isfinite(drawn)]
-    low, high = np.quantile(known, [0.025, 0.975]) if 2 * len(known) >= repeats else [np.nan] * 2
+    low, high = (
+        np.quantile(known, [0.025, 0.975]) if 2 * len(known) >= repeats and n > 1 else [np.nan] * 2
+    )
     return Interval(float(statistic(*arrays)), float(low), float(high))
 
 

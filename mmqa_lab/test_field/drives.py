@@ -65,7 +65,7 @@ def thinned(points: ArrayLike, side: float) -> np.ndarray:
     side = check_positive(side, "side", unit="m")
     local = points[:, :2] - np.floor(points[:, :2].min(axis=0) / side) * side
     cell, gap = local // side, np.hypot(*(local % side - side / 2).T)
-    order = np.argsort(gap, kind="stable")
+    order = np.lexsort((*points.T, gap.round(9)))  # of points as near the order does not decide
     return points[order[np.unique(cell[order], axis=0, return_index=True)[1]]]
 
 

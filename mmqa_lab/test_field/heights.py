@@ -222,6 +222,7 @@ def _surfaces(points, targets, radius):
     counts = np.bincount(pairs["j"], minlength=len(targets))
     slope = _slopes(points[pairs["i"]] - targets[pairs["j"]], pairs["j"], len(targets))
     centre = targets[:, :2].mean(axis=0)
+    points = points[np.lexsort(points.T)]  # of four on a circle the order of rows decides
     try:
         mesh = Delaunay(points[:, :2] - centre)
     except (QhullError, ValueError):  # all on one line, or none
