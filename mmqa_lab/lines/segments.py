@@ -32,8 +32,8 @@ __all__ = [
 ]  # fmt: skip
 
 
-# Number of pairs that a thread computes at a time.
-BLOCK_PAIRS = 500_000
+# Number of pairs that a thread computes at a time: fewer take less than waking it.
+BLOCK_PAIRS = 100_000
 
 
 def check_segments(segments: ArrayLike, name: str = "segments") -> np.ndarray:
@@ -156,15 +156,19 @@ def components(
     """
     check_choice(rotate, "rotate", ("test", "shorter"))
     check_choice(within, "within", ("containment", "overlap"))
-    test, model = (
-        np.vstack([midpoints(ends).T, directions(ends).T, lengths(ends)])
-        for ends in from_common_origin(test, model)
-    )
+    test, model = map(_described, from_common_origin(test, model))
     parts = np.empty((4, test.shape[1], model.shape[1]))
-    in_threads(
-        _measure, test.shape[1], test, model, rotate == "shorter", within == "overlap", parts
-    )
+    settings = rotate == "shorter", within == "overlap"
+    least = max(BLOCK_PAIRS // max(model.shape[1], 1), 1)
+    in_threads(_measure, test.shape[1], test, model, *settings, parts, least=least)
     return Components(*parts)
+
+
+def _described(ends):
+    """Midpoints, directions and lengths of segments that are checked, (7, n)."""
+    way = ends[:, 1] - ends[:, 0]
+    length = np.sqrt((way * way).sum(axis=1))
+    return np.vstack([(ends[:, 0] + way / 2).T, way.T / length, length])
 
 
 @njit(cache=True, nogil=True)

@@ -2,6 +2,7 @@
 
 import warnings
 from dataclasses import replace
+from functools import lru_cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -246,7 +247,7 @@ def two_heads(navigation):
     return System("two heads, not calibrated", heads, navigation, LEVER_ARM_ERROR_M)
 
 
-def two_drives(street, *, navigation="exact", pulses_per_s=100_000.0, seed):
+def two_drives(street, *, navigation="exact", pulses_per_s=100_000.0, seed, drives=None):
     """Return the data of a calibration: two drives of a system whose mounting is wrong.
 
     Parameters
@@ -259,17 +260,20 @@ def two_drives(street, *, navigation="exact", pulses_per_s=100_000.0, seed):
         Pulse rate of the scans.
     seed : int
         Seed of the scans.
+    drives : optional
+        Scans of the same street that are there already.
 
     Returns
     -------
     SimpleNamespace
-        ``drives``, a list of (Cloud, Trajectory); ``lever_arms_m``, assumed, shape (2, 3);
+        ``drives``, a tuple of (Cloud, Trajectory); ``lever_arms_m``, assumed, shape (2, 3);
         ``poles``, surveyed, a DataFrame; ``control``, surveyed points on the ground, shape (n, 3),
         m; ``true_values``, shape (2, 6), boresight (degrees) and correction of the lever arm (m)
         of both heads.
     """
     tested = two_heads(PATHS[navigation])
-    drives = drive_test_field(street, tested, seed=seed, pulses_per_s=pulses_per_s)
+    scans = {"seed": seed, "pulses_per_s": pulses_per_s}
+    drives = drives or tuple(drive_test_field(street, tested, **scans))
     surveyed = {"poles": street.poles, "control": street.ground(spacing_m=2.0, seed=seed)}
     truth = np.hstack([BORESIGHT_DEG, -np.array(LEVER_ARM_ERROR_M)])
     known = {"lever_arms_m": tested.assumed_lever_arms, "true_values": truth}
@@ -314,8 +318,21 @@ def as_installed(survey):
 
 
 def from_planes(survey):
-    """Return a calibration from planes that both drives show."""
-    return calibrate(survey.drives, lever_arms_m=survey.lever_arms_m).values
+    """Return a calibration from planes that both drives show, whatever the survey is."""
+    return _from_planes(survey.drives, tuple(map(tuple, survey.lever_arms_m)))
+
+
+@lru_cache(maxsize=2)
+def _from_planes(drives, lever_arms_m):
+    return calibrate(drives, lever_arms_m=lever_arms_m).values
+
+
+@lru_cache(maxsize=2)
+def _driven(navigation, seed, length_m, pulses_per_s):
+    """Drives of a street, whose survey does not change them."""
+    street = make_test_field(length_m=length_m, seed=seed)
+    scans = {"seed": seed + 3, "pulses_per_s": pulses_per_s}
+    return tuple(drive_test_field(street, two_heads(PATHS[navigation]), **scans))
 
 
 def full(survey):
@@ -353,7 +370,8 @@ def bench(
 
     def make(navigation, reference_std_m, seed):
         street = make_test_field(length_m=length_m, reference_std_m=reference_std_m, seed=seed)
-        survey = two_drives(street, navigation=navigation, pulses_per_s=pulses_per_s, seed=seed + 3)
+        drives = _driven(navigation, seed, length_m, pulses_per_s)
+        survey = two_drives(street, navigation=navigation, seed=seed + 3, drives=drives)
         return survey, survey
 
     cases = benches.grid(navigation=tuple(navigation), reference_std_m=reference_std_m)
