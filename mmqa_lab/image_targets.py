@@ -18,6 +18,7 @@ from mmqa_lab import mtf, radiometry
 from mmqa_lab._checks import check_choice, check_columns, check_known, check_number, refuse
 from mmqa_lab._results import sentences
 from mmqa_lab.charts import decode
+from mmqa_lab.radiometry.line_doubts import unlikely_term
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -163,11 +164,14 @@ def _patches(band, targets, name, number):
     """Statistics of all targets in one band, and what is known of them in this band."""
     column = f"{name}_{number}" if f"{name}_{number}" in targets else name
     check_columns(targets, [column], "targets")
-    y, x, high, wide = targets[["y_px", "x_px", "height_px", "width_px"]].to_numpy().T
-    places = np.column_stack([y, y + high, x, x + wide]).round().astype(int)
+    y, x, high, wide = targets[["y_px", "x_px", "height_px", "width_px"]].to_numpy().T.round()
+    places = np.column_stack([y, y + high, x, x + wide])
     found = radiometry.patch_statistics(band, places)
     found["std_dn"] = np.hypot(found["std_dn"], 12**-0.5)  # rounding alone gives a pixel that much
     found["std_error_dn"] = found["std_dn"] / np.sqrt(found["n"])
+    # not of the few that are left out
+    full = (found["saturated_share"] * (found["n"] + found["hot"])).round() > found["hot"]
+    found["saturated_share"] *= full
     uneven = [_uneven(_region(band, target)) for target in targets.to_dict("records")]
     return found.assign(known=targets[column].to_numpy(), name=targets["name"], uneven=uneven)
 
@@ -200,8 +204,30 @@ def _calibrated(band, targets, number):
     reach = stats.t.ppf(0.975, fit.freedom) * fit.std
     figures = _interval("gain", "", fit.gain, reach[0])
     figures |= _interval("offset", "_dn", fit.offset, reach[1])
-    remark = "; ".join(_said(used["name"], used["uneven"]))
+    across = targets.loc[used.index, ["x_px", "y_px"]].to_numpy(dtype=float)
+    signal = used["known"].to_numpy() * exposure
+    changes = _change_along(across, signal, used["mean_dn"].to_numpy())
+    remarks = [*_said(used["name"], used["uneven"]), *_of_hot(used), *fit.remarks]
+    remarks += sentences((changes, f"the light changes by {changes:.0%} along the targets"))
+    remark = "; ".join(remarks)
     return [figures | {"r_squared": fit.r_squared, "n": fit.n, "remark": remark}]
+
+
+def _of_hot(patches):
+    """The remark on pixels that were left out of targets."""
+    count = int(patches["hot"].sum())
+    return [f"{count} odd pixels left out"] if count else []
+
+
+def _change_along(places, known, dn):
+    """Share by which light changes along a row of targets, from one end to the other."""
+    away = places - places.mean(axis=0)
+    along = away @ np.linalg.svd(away, full_matrices=False)[2][0]
+    if not np.ptp(along) > 0:
+        return 0.0
+    design = np.stack([known, np.ones_like(known)], axis=1)
+    change = unlikely_term(design, known * along / np.ptp(along), dn, np.ones_like(dn))
+    return abs(change) / np.polyfit(known, dn, 1)[0]
 
 
 def _reflectances(band, targets, number):
@@ -219,16 +245,16 @@ def _reflectances(band, targets, number):
     stated = {"std_dn": errors} if given or len(known) == 2 else {}
     seen_as = known["anisotropy"]
     line = radiometry.empirical_line(dn, known["known"], anisotropy=seen_as, **stated)
-    factor = 1.96 if stated else stats.t.ppf(0.975, line.n - 2)
+    factor = stats.t.ppf(0.975, line.freedom)
     for row in patches[patches["known"].isna()].itertuples():
         saturated, inside = row.saturated_share > 0, dn.min() <= row.mean_dn <= dn.max()
         value = float(line.reflectance(row.mean_dn, anisotropy=row.anisotropy))
         value = np.nan if saturated else value
         reach = factor * float(line.std(row.mean_dn, std_dn=row.std_error_dn)) / row.anisotropy
         beyond = not inside, "beyond the reference targets"
-        remarks = sentences((saturated, "saturated"), beyond, (line.remark, line.remark))
         doubted = pd.concat([known, patches.loc[[row.Index]]])
-        remarks += tuple(_said(doubted["name"], doubted["uneven"]))
+        remarks = [*sentences((saturated, "saturated"), beyond), *line.remarks]
+        remarks += [*_said(doubted["name"], doubted["uneven"]), *_of_hot(doubted)]
         figures = {"target": row.name} | _interval("reflectance", "", value, reach)
         yield figures | {"references": line.n, "remark": "; ".join(remarks)}
 

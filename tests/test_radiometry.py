@@ -1,8 +1,11 @@
 """Sensor calibration, reflectance, anisotropy and block adjustment against known truth."""
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import stats
 from scipy.optimize import least_squares
 
 from mmqa_lab import image_targets
@@ -75,7 +78,7 @@ def test_empirical_line_passes_two_targets_and_allows_for_their_anisotropy():
     assert line.reflectance(300.0) == pytest.approx(0.055, abs=1e-12)
     assert line.reflectance(1500.0, anisotropy=1.05) == pytest.approx(0.40, abs=1e-12)
     assert np.isnan(line.covariance).all()
-    assert "cannot check" in line.remark
+    assert line.remarks == ("two references cannot check each other",)
 
 
 def test_propagated_deviation_of_reflectance_and_ndvi_agrees_with_monte_carlo(rng):
@@ -293,3 +296,99 @@ def test_intervals_hold_where_observations_are_better_than_is_taken_at_first(rng
         widths += [found["gain_std_percent"].mean()]
     assert np.mean(inside) > 0.8
     assert np.mean(widths) < 0.9
+
+
+REFLECTANCES = np.array([0.03, 0.12, 0.25, 0.4, 0.55])
+
+
+def references(rng, *, std=0.03, wrong=None, factor=1.0):
+    """DN of five references, what is said to be known of them, and its standard error in DN."""
+    known = REFLECTANCES * (1 + std * rng.standard_normal(5))
+    if wrong is not None:
+        known[wrong] *= factor
+    return 200 + 4000 * REFLECTANCES, known, 4000 * np.hypot(0.001, 0.03 * REFLECTANCES)
+
+
+def test_a_reference_with_a_wrong_label_is_named_and_left_out_on_request():
+    named, near, silent = 0, [], 0
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        dn, known, errors = references(rng, wrong=3, factor=0.7)
+        line = empirical_line(dn, known, std_dn=errors)
+        named += line.odd == 3
+        assert line.remarks
+        without = empirical_line(dn, known, std_dn=errors, leave_out=True)
+        near.append(float(without.reflectance(1400.0)) - 0.3)
+        silent += not empirical_line(*references(rng)[:2], std_dn=errors).remarks
+    assert named >= 36
+    assert np.std(near) < 0.012
+    assert silent >= 36
+
+
+def test_residuals_that_refute_a_stated_error_widen_the_interval_and_are_said(rng):
+    inside, said = 0, 0
+    for _ in range(60):
+        dn, known, _ = references(rng)
+        line = empirical_line(dn, known, std_dn=4000 * np.hypot(0.0005, 0.005 * REFLECTANCES))
+        reach = stats.t.ppf(0.975, line.freedom) * line.std(1400.0)
+        inside += abs(line.reflectance(1400.0) - 0.3) < reach
+        said += bool(line.remarks)
+    assert said > 50
+    assert inside > 48
+
+
+def test_targets_that_leave_a_sensors_line_are_said(rng):
+    radiance = np.array([5.0, 20, 45, 80, 120, 160])
+    dn = 60 + 20 * radiance + rng.normal(0, 4, 6)
+    assert fit_sensor(radiance, dn).remarks == ()
+    assert fit_sensor(radiance, np.where(radiance == 80, 1.3 * dn, dn)).remarks
+    assert "target 4" in fit_sensor(radiance, np.where(radiance == 80, 1.3 * dn, dn)).remarks[0]
+    assert fit_sensor(radiance, dn[[0, 2, 1, 3, 5, 4]]).remarks  # swapped
+    cloudy = fit_sensor(radiance, np.where(radiance > 100, 0.7 * dn, dn)).remarks
+    assert any("bent" in remark or "leave the line" in remark for remark in cloudy)
+
+
+@pytest.mark.parametrize("change", ["none", "hot", "trend"])
+def test_hot_pixels_and_light_along_a_row_of_targets(change, rng):
+    radiance = np.array([40.0, 10, 120, 80, 20, 160])
+    image = np.repeat(60 + 20 * radiance, 20)[None].repeat(20, axis=0)
+    image *= np.linspace(1, 0.85 if change == "trend" else 1, 120)
+    image += rng.normal(0, 8, image.shape)
+    if change == "hot":
+        image[rng.random(image.shape) < 0.005] = 4095
+    places = {"x_px": np.arange(6) * 20, "y_px": 0, "width_px": 20, "height_px": 20}
+    table = pd.DataFrame({**places, "radiance": radiance})
+    row = image_targets.measure(image[None], "calibrate", targets=table, linear=True).iloc[0]
+    words = {"none": "^$", "hot": "odd pixels left out", "trend": r"the light changes by 1\d%"}
+    assert re.search(words[change], row["remark"])
+    if change != "trend":
+        assert row["gain_low"] - 0.02 < 20 < row["gain_high"] + 0.02
+        assert row["gain"] == pytest.approx(20, rel=0.003)
+
+
+@pytest.mark.parametrize("seed", [199, 283])
+def test_blocks_of_few_noisy_observations_end(seed):
+    rng = np.random.default_rng(5000 + seed)
+    noise, images = rng.choice([0.002, 0.01, 0.03, 0.06]), int(rng.integers(4, 12))
+    table, _, gain = block(rng, noise, images, int(rng.integers(25, 150)))
+    assert len(adjust_block(table).gains) == len(gain)
+
+
+def test_a_control_target_that_is_wrong_by_a_seventh_is_named_and_no_other(rng):
+    table, ground, _ = block(rng, noise=0.01)
+    place = np.argsort(ground)[[20, 40, 60, 80, 100, 115]]
+    control = pd.DataFrame({"tie": place, "reflectance": ground[place], "std": 0.01})
+    control.loc[4, "reflectance"] *= 1.15
+    with pytest.warns(UserWarning, match=f"Control targets {place[4]} contradict"):
+        adjust_block(table, control=control)
+
+
+def test_surfaces_that_flash_up_against_the_sun_are_said(rng, recwarn):
+    table, _, _ = block(rng, ties=400)
+    table["view_zenith_deg"] = np.degrees(np.arctan(1.2 * table["radius"]))
+    away = [np.radians(table[name]) for name in ("sun_zenith_deg", "view_zenith_deg")]
+    cosines = np.cos(away[0]) * np.cos(away[1])
+    cosines += np.sin(away[0]) * np.sin(away[1]) * np.cos(np.radians(table["azimuth_deg"]))
+    flash = 0.2 * np.exp(-((np.degrees(np.arccos(cosines)) / 6) ** 2))
+    with pytest.warns(UserWarning, match="where the sun stands behind the camera"):
+        adjust_block(table.assign(radiance=table["radiance"] * (1 + flash)))

@@ -17,6 +17,10 @@ SHADOW, RELATIVE_STD = 6.0, 0.02
 """Deviations that hardly count; standard deviation of an observation, a share of its radiance, to
 begin with."""
 
+CONTRADICTS, HOT_SPOT_DEG = 3.5, 10.0
+"""Standard deviations by which a control target differs; angle between sun and view within which
+surfaces flash up."""
+
 LOOSE, FEWEST_TIES = 2.0, 8
 """Spread of an image's observations over that of most from which it is said, and their number."""
 
@@ -24,23 +28,27 @@ RINGS, FALLS_OTHERWISE = 5, 4.0
 """Rings around the centre of an image, and standard errors by which one may differ from others."""
 
 
-def warn(block, estimate, value, std, share):
+def warn(block, estimate, value, std, share, adjusted_std):
     """Warn of known reflectances that contradict the others, and of many odd observations.
 
-    ``share``: misfits as shares of the radiances.
+    ``share``: misfits as shares of the radiances; ``adjusted_std``: of known reflectances after the
+    adjustment.
     """
     value, std, estimate = (part[-len(block.ties) :] for part in (value, std, estimate))
     spread = misfit_scale(share)
-    # by how much images and control differ, and may differ
-    of_ties = pd.Series(share).groupby(block.tie).median().abs().to_numpy() * estimate
-    limit = 3 * np.hypot(std, spread * estimate)
-    doubtful = block.ties[np.isfinite(std) & (np.abs(estimate - value) + of_ties > limit)]
+    # what control leaves over its own standard deviation (Baarda); one that is wrong draws others
+    free = np.sqrt(np.maximum(std**2 - adjusted_std**2, 1e-4 * std**2))
+    left = np.where(np.isfinite(std), np.abs(estimate - value) / free, 0)
+    doubtful = block.ties[(left > CONTRADICTS) & (left == left.max())]
     counts = np.abs(share) <= SHADOW * spread
     odd = 1 - counts.mean()
     # means of rings of one area, in their standard errors
     ring = np.minimum(RINGS * block.radius2[counts], RINGS - 1).astype(int)
     rings = pd.Series(share[counts]).groupby(ring)
     uneven = rings.mean().abs() > FALLS_OTHERWISE * spread / np.sqrt(rings.size())
+    behind = counts & (block.phase_deg < HOT_SPOT_DEG)
+    peak = share[behind].mean() if behind.sum() >= FEWEST_TIES else 0.0
+    hot_spot = abs(peak) > FALLS_OTHERWISE * spread / np.sqrt(max(behind.sum(), 1))
     of_image = pd.Series(np.abs(share)).groupby(block.image)
     wide = of_image.quantile(0.75)
     loose = (wide > LOOSE * max(wide.median(), RELATIVE_STD / 10)) & (
@@ -56,6 +64,7 @@ def warn(block, estimate, value, std, share):
         (odd > 0.01, f"{shaded}: they do not count."),
         (images, f"{clouded}, as where a part lies under a cloud: their gains may be wrong."),
         (uneven.any(), f"{falls}: {gains}"),
+        (hot_spot, f"Light is {peak:+.1%} off where the sun stands behind the camera: {gains}"),
     ):
         warnings.warn(text, stacklevel=3)
 

@@ -44,6 +44,7 @@ class Block:
         if (self.group_of_image[self.image] != self.group).any():
             raise ValueError("Invalid group: two in one image. Must be the same in its rows.")
         self.terms, self.sun = view_terms(observations), sun_cosine(observations)
+        self.phase_deg = _phase(observations)
         self.radius2 = observations["radius"].to_numpy(dtype=np.float64) ** 2
 
     @property
@@ -128,3 +129,10 @@ def sun_cosine(observations):
 def surfaces_of(observations):
     """Surface of each observation; a single surface if none is named."""
     return observations.get("surface", pd.Series(0, observations.index)).to_numpy()
+
+
+def _phase(observations):
+    """Angle between the directions to the sun and to the camera, degrees."""
+    sun, view, azimuth = np.radians(observations[list(ANGLES)].to_numpy(dtype=np.float64)).T
+    both = np.cos(sun) * np.cos(view) + np.sin(sun) * np.sin(view) * np.cos(azimuth)
+    return np.degrees(np.arccos(np.clip(both, -1, 1)))

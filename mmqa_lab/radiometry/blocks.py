@@ -190,6 +190,7 @@ def adjust_block(
     ties, parameters = len(block.ties), int(free.sum()) - len(block.ties)
     # without control only ratios of gains are determined: their sum stays
     gains = sparse.csc_matrix([(np.arange(free.sum()) < images) * float(control is None)])
+    step, before = 1.0, np.ones(int(free.sum()))
     share, freedom = RELATIVE_STD, max(len(block.signal) - free.sum(), 1)
     for iteration in range(ROUNDS):
         misfit, jacobian = block.linearised(estimate)
@@ -206,13 +207,18 @@ def adjust_block(
         normal = normal + gains.T @ gains * (normal.diagonal()[:parameters].sum() / images**2)
         right = jacobian.T @ (weight * misfit) + prior_weight * (value - estimate)[free]
         change = _factor(normal).solve(right)
-        estimate[free] += change
+        if iteration > REWEIGHTINGS:  # a step too long turns round, one too short goes on
+            kept = (change @ before) / (before @ before)
+            step = np.clip(step / max(1 - kept, 0.2), 0.1, 3)
+        before = change.copy()
+        estimate[free] += step * change
         change[parameters:] /= np.abs(estimate[-ties:]).mean()
         if np.abs(change).max() <= 1e-7:
             inverse = _covariance(normal, parameters)
-            warn(block, estimate, value, std, scaled)
+            ties_std = _std_of_known(normal, parameters, std[-ties:])
+            warn(block, estimate, value, std, scaled, ties_std)
             return _result(block, estimate, inverse, free, control is not None)
-    must = "have tie points that determine the parameters"
+    must = "have more observations or less noise"
     raise ValueError(f"Invalid block: still changing after {ROUNDS} iterations. Must {must}.")
 
 
@@ -239,6 +245,18 @@ def _covariance(normal, count):
     if not values[0] > 1e-10 * values[-1]:
         raise ValueError(UNDETERMINED)
     return inverse
+
+
+def _std_of_known(normal, first, std):
+    """Adjusted standard deviation of the ties of known reflectance, NaN for all others."""
+    known = np.flatnonzero(np.isfinite(std))
+    found = np.full(len(std), np.nan)
+    if len(known):
+        wanted = np.zeros((normal.shape[0], len(known)))
+        wanted[first + known, np.arange(len(known))] = 1
+        solved = _factor(normal).solve(wanted)[first + known]
+        found[known] = np.sqrt(np.diag(solved))
+    return found
 
 
 def _result(block, estimate, inverse, free, absolute):

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_number, check_positive, check_together, refuse
-from mmqa_lab._results import Shown
+from mmqa_lab._results import Shown, sentences
+from mmqa_lab.radiometry.line_doubts import looseness, odd_target
 
 __all__ = ["EmpiricalLine", "empirical_line", "ndvi", "reflectance_factor"]
 __dir__ = __all__.copy
@@ -26,6 +27,12 @@ class EmpiricalLine(Shown):
         Of (slope, intercept); NaN from two targets without known uncertainty.
     residuals : array, shape (n,)
         Known minus computed reflectance of the targets.
+    freedom : float
+        Degrees of freedom of the covariance: infinite where it follows from stated errors.
+    odd : int, optional
+        Number of the target, from 0, that leaves the line of the others.
+    remarks : tuple of str
+        Reasons to doubt the line.
 
     Examples
     --------
@@ -38,16 +45,14 @@ class EmpiricalLine(Shown):
     intercept: float
     covariance: np.ndarray
     residuals: np.ndarray
+    freedom: float = np.inf
+    odd: int | None = None
+    remarks: tuple[str, ...] = ()
 
     @property
     def n(self) -> int:
         """Number of targets."""
         return len(self.residuals)
-
-    @property
-    def remark(self) -> str:
-        """Reason to doubt the standard deviations; empty if there is none."""
-        return "two references cannot check each other" if self.n == 2 else ""
 
     def reflectance(self, dn: ArrayLike, *, anisotropy: ArrayLike = 1.0) -> np.ndarray:
         """Nadir reflectance of DN seen where the surface reflects ``anisotropy`` times as much."""
@@ -132,6 +137,7 @@ def empirical_line(
     *,
     std_dn: ArrayLike | None = None,
     anisotropy: ArrayLike = 1.0,
+    leave_out: bool = False,
 ) -> EmpiricalLine:
     """Fit reflectance as a line of DN through targets of known reflectance.
 
@@ -147,6 +153,9 @@ def empirical_line(
     anisotropy : float or array_like, shape (n,)
         Anisotropy factor of each target as the camera saw it: a target that reflects 5 %
         more that way than at nadir has 1.05.
+    leave_out : bool
+        Leave out the target that leaves the line of all others by more than its error, if there is
+        one. It is named in any case.
 
     Returns
     -------
@@ -160,8 +169,9 @@ def empirical_line(
 
     Notes
     -----
-    With two targets the line passes through both: their errors are not seen (``remark``), and
-    reflectance beyond the brighter one is extrapolated.
+    With two targets the line passes through both: their errors are not seen (``remarks``), and
+    reflectance beyond the brighter one is extrapolated. Residuals larger than stated errors allow
+    (1 %) widen the covariance to what they show.
 
     Examples
     --------
@@ -181,16 +191,30 @@ def empirical_line(
     slope = np.polyfit(dn, known, 1)[0]
     if not slope * np.ptp(dn) > 1e-9:
         raise ValueError("Invalid targets: brighter ones do not have a larger DN. Must have.")
-    std = np.ones_like(dn) if std_dn is None else slope * np.asarray(std_dn)
-    if (std <= 0).any():
-        raise ValueError("Invalid standard errors. Must be > 0 DN.")
-    weight = np.broadcast_to(1 / std, dn.shape)
-    line, covariance = np.polyfit(dn, known, 1, w=weight, cov="unscaled")
+    stated = std_dn is not None
+    std = slope * np.asarray(std_dn) * np.ones_like(dn) if stated else np.ones_like(dn)
+    refuse(not (std > 0).all(), "standard errors", "one of them is not", "> 0 DN")
+    odd = odd_target(np.stack([dn, np.ones_like(dn)], axis=1), known, std, stated=stated)
+    used = np.arange(len(dn)) != (odd if leave_out else None)
+    line, covariance = np.polyfit(dn[used], known[used], 1, w=1 / std[used], cov="unscaled")
     left = known - np.polyval(line, dn)
-    if std_dn is None:
-        covariance = covariance * (left @ left / (len(dn) - 2) if len(dn) > 2 else np.nan)
+    freedom = int(used.sum()) - 2
+    loose = looseness(left[used], std[used], freedom) if stated else 1.0
+    if stated:
+        covariance = covariance * loose**2
+    else:
+        square = left[used] @ left[used]
+        covariance = covariance * (square / freedom if freedom else np.nan)
+    named = "" if odd is None else f"reference {odd + 1} of {len(dn)} leaves the line of the others"
+    wide = f"residuals are {loose:.1f} times the stated errors, the interval is wider by that"
+    remarks = sentences(
+        (len(dn) == 2, "two references cannot check each other"),
+        (odd is not None, f"{named} and is left out" if leave_out else named),
+        (loose > 1, wide),
+    )
     slope, intercept = map(float, line)
-    return EmpiricalLine(slope, intercept, covariance, left)
+    freedom = np.inf if stated and loose == 1 else freedom
+    return EmpiricalLine(slope, intercept, covariance, left, freedom, odd, tuple(remarks))
 
 
 def ndvi(

@@ -27,7 +27,8 @@ from mmqa_lab._checks import (
     real_array,
     refuse,
 )
-from mmqa_lab._results import Shown
+from mmqa_lab._results import Shown, sentences
+from mmqa_lab.radiometry.line_doubts import odd_target, unlikely_term
 
 __all__ = [
     "SensorFit", "coarse_pairs", "fit_sensor", "patch_statistics", "relative_exposure",
@@ -37,6 +38,13 @@ __dir__ = __all__.copy
 
 FEWEST_PILED, LARGEST_DN = 9, tuple(2**bits - 1 for bits in (8, 10, 12, 14, 16))
 """Pixels of one value that may be chance; the largest digital numbers of sensors and files."""
+
+
+BENT, LOOSE_LINE = 0.02, 0.03
+"""Shares of the range of DN by which a line is bent, or left by its targets, when it is said."""
+
+HOT_DEVIATIONS, MOST_HOT = 6.0, 0.05
+"""Deviations from which a pixel of a target is left out, and the largest share of such pixels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +63,8 @@ class SensorFit(Shown):
         DN minus the line for every given target, NaN for the saturated ones.
     saturated : int
         Targets left out because they were saturated.
+    remarks : tuple of str
+        Reasons to doubt the line.
 
     Examples
     --------
@@ -69,6 +79,7 @@ class SensorFit(Shown):
     r_squared: float
     residuals: np.ndarray
     saturated: int
+    remarks: tuple[str, ...] = ()
 
     @property
     def n(self) -> int:
@@ -148,7 +159,7 @@ def patch_statistics(
     -------
     DataFrame
         ``n``, ``mean_dn``, ``std_dn`` (of a pixel), ``std_error_dn`` (of the mean),
-        ``saturated_share``.
+        ``saturated_share``, ``hot``: pixels farther than six deviations, which are left out.
 
     Raises
     ------
@@ -167,16 +178,26 @@ def patch_statistics(
     refuse(not finite, "image", f"shape {image.shape}", "one band of finite numbers")
     full_scale = saturation_level(image) if full_scale is None else full_scale
     rows = []
-    for r0, r1, c0, c1 in np.asarray(patches, dtype=int):
+    for r0, r1, c0, c1 in np.round(np.asarray(patches, dtype=float)).astype(int):
         inside = 0 <= r0 < r1 <= image.shape[0] and 0 <= c0 < c1 <= image.shape[1]
         wrong = not inside or (r1 - r0) * (c1 - c0) < 2
         found = f"rows {r0} to {r1}, columns {c0} to {c1}"
         refuse(wrong, "patch", found, f"two or more pixels in an image of {image.shape}")
         dn = image[r0:r1, c0:c1].ravel()
+        hot, share = _hot(dn), (dn >= full_scale).mean()
+        dn = dn[~hot]
         std = dn.std(ddof=1)
-        rows.append((dn.size, dn.mean(), std, std / np.sqrt(dn.size), (dn >= full_scale).mean()))
-    columns = ["n", "mean_dn", "std_dn", "std_error_dn", "saturated_share"]
+        rows.append((dn.size, dn.mean(), std, std / np.sqrt(dn.size), share, hot.sum()))
+    columns = ["n", "mean_dn", "std_dn", "std_error_dn", "saturated_share", "hot"]
     return pd.DataFrame(rows, columns=columns)
+
+
+def _hot(dn):
+    """Pixels far from all others of a target, if they are few."""
+    off = np.abs(dn - np.median(dn))
+    usual = np.median(off) / 0.6745
+    hot = (off > HOT_DEVIATIONS * usual) & (usual > 0)
+    return hot & (hot.mean() <= MOST_HOT)
 
 
 def fit_sensor(
@@ -247,8 +268,24 @@ def fit_sensor(
     fit = models.WLS(dn[used], design[used], weights=std[used] ** -2).fit()
     gain, offset = np.append(fit.params, 0.0)[:2].tolist()
     residuals = np.where(used, dn - design @ fit.params, np.nan)
+    remarks = _remarks_on(design[used], dn[used], std[used], np.flatnonzero(used))
     std, saturated = np.append(fit.bse, 0.0)[:2], int((~used).sum())
-    return SensorFit(gain, offset, std, float(fit.rsquared), residuals, saturated)
+    return SensorFit(gain, offset, std, float(fit.rsquared), residuals, saturated, remarks)
+
+
+def _remarks_on(design, dn, std, numbers):
+    """What residuals say: one target is odd, the sensor bends, or all leave the line."""
+    odd, reach = odd_target(design, dn, std, stated=False), np.ptp(dn)
+    signal, scaled = design[:, 0], design / std[:, None]
+    bent = abs(unlikely_term(design, signal**2, dn, std)) * np.ptp(signal) ** 2 / 4 / reach
+    left = dn - design @ np.linalg.lstsq(scaled, dn / std, rcond=None)[0]
+    loose = np.sqrt(left @ left / max(len(dn) - design.shape[1], 1)) / reach
+    said = sentences(
+        (odd is not None, lambda: f"target {numbers[odd] + 1} leaves the line of the others"),
+        (bent > BENT, f"the line is bent by {bent:.0%} of its range"),
+        (loose > LOOSE_LINE, f"targets leave the line by {loose:.0%} of its range"),
+    )
+    return tuple(said)
 
 
 def coarse_pairs(image: ArrayLike, reference: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
