@@ -40,7 +40,7 @@ FEWEST_PILED, LARGEST_DN = 9, tuple(2**bits - 1 for bits in (8, 10, 12, 14, 16))
 """Pixels of one value that may be chance; the largest digital numbers of sensors and files."""
 
 
-BENT, LOOSE_LINE = 0.02, 0.03
+BENT_LINE, LOOSE_LINE = 0.02, 0.03
 """Shares of the range of DN by which a line is bent, or left by its targets, when it is said."""
 
 HOT_DEVIATIONS, MOST_HOT = 6.0, 0.05
@@ -282,7 +282,7 @@ def _remarks_on(design, dn, std, numbers):
     loose = np.sqrt(left @ left / max(len(dn) - design.shape[1], 1)) / reach
     said = sentences(
         (odd is not None, lambda: f"target {numbers[odd] + 1} leaves the line of the others"),
-        (bent > BENT, f"the line is bent by {bent:.0%} of its range"),
+        (bent > BENT_LINE, f"the line is bent by {bent:.0%} of its range"),
         (loose > LOOSE_LINE, f"targets leave the line by {loose:.0%} of its range"),
     )
     return tuple(said)
