@@ -105,6 +105,40 @@ def test_tilted_stars_and_the_small_star_of_the_report(radius, tilt, rng):
     assert star.mtf50 == pytest.approx(spread.mtf50(0), abs=3 * star.mtf50_sigma + 0.001)
 
 
+def odd_star(kind, rng, n=24, radius=80):
+    """A star that no lens alone makes of square sectors of like shares, as people print them."""
+    size = 2 * radius + 10
+
+    def distance(x, y):
+        """Into bright sectors that are narrower than the dark ones."""
+        phase = n * np.arctan2(y, x) / (2 * np.pi)
+        to_border, r = 0.21 - np.abs(phase - np.round(phase)), np.hypot(x, y)
+        return np.minimum(r * np.sin(2 * np.pi * to_border / n), radius - r)
+
+    image = render_star((size, size), PointSpread(0.8), cycles=n, radius_px=radius)
+    if kind == "unlike":
+        image = _render((size, size), PointSpread(0.8), distance, 0.1, 0.6)
+    if kind == "sinusoidal":
+        y, x = np.mgrid[:size, :size] - (size - 1) / 2
+        image = gaussian_filter(0.35 + 0.25 * np.cos(n * np.arctan2(y, x)), 0.8)
+    if kind == "sharpened":
+        image = image + 0.8 * (image - gaussian_filter(image, 1.2))
+    return image + 0.005 * rng.standard_normal(image.shape)
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("plain", "^$"), ("unlike", "sectors are unlike"), ("sharpened", "^sharpened"),
+        ("sinusoidal", "no plain middle"),
+    ],
+)  # fmt: skip
+def test_a_star_that_no_lens_makes_says_why(kind, words, rng):
+    image = odd_star(kind, rng)
+    found = measure_star(image, (84.5, 84.5), cycles=24, radius_px=80)
+    assert re.search(words, "; ".join(found.remarks))
+
+
 @pytest.mark.parametrize(("lens", "width"), [("disc", 2.0), ("diffraction", 2.0)])
 def test_stars_and_edges_behind_other_lenses(lens, width, rng):
     spread = PointSpread(width, lens=lens)

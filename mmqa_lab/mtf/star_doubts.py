@@ -14,13 +14,30 @@ STAR_PARTS, LARGEST_DRIFT, SEEN_SHARE = 12, 1.5, 0.7
 """Parts of the circle in which the outer wave is compared: its phase may differ by so many radians,
 and its contrast in a part that is not hidden is at least this share of the others'."""
 
+UNLIKE, SQUARE, SHARPENED = 0.06, 0.6, 0.025
+"""Share of a wave of twice the cycles; least share of the one of three times that square sectors
+have; contrast above that of the best lens: beyond them it is said."""
 
-def remarks_on(waves, clipped):
-    """What is said about a star."""
+
+def remarks_on(waves, clipped, harmonics, transfers, beyond):
+    """What is said about a star.
+
+    ``harmonics``: waves of twice and three times the cycles near the outline over the star's own;
+    ``transfers``: what the lens leaves of them; ``beyond``: contrast above that of any lens.
+    """
     faintest = np.abs(waves).min() / np.median(np.abs(waves))
     hidden = f"a part of the star is hidden: contrast {faintest:.0%} of the others'"
     clips = f"{clipped} is clipped: MTF50 is too high"
-    return tuple(sentences((faintest < SEEN_SHARE, hidden), (clipped, clips)))
+    unlike = harmonics[0] > UNLIKE * transfers[0]
+    round_ = transfers[1] > 0.15 and harmonics[1] < transfers[1] / 3 * SQUARE
+    said = sentences(
+        (faintest < SEEN_SHARE, hidden),
+        (clipped, clips),
+        (beyond > SHARPENED, "sharpened: no lens transfers so much"),
+        (unlike and not clipped, "dark and bright sectors are unlike: MTF50 is too low"),
+        (round_, "sectors have no plain middle, as of a sinusoidal star: MTF50 is too low"),
+    )
+    return tuple(said)
 
 
 def clipped_side(black, white):

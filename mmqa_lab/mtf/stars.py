@@ -17,7 +17,7 @@ from scipy.optimize import least_squares, minimize_scalar
 from mmqa_lab._checks import check_count, check_image, check_number, check_positive, refuse
 from mmqa_lab._results import Shown, about
 from mmqa_lab.mtf.star_doubts import STAR_PARTS, check_cycles, clipped_side, remarks_on
-from mmqa_lab.mtf.transfer import FREQUENCIES, LENS_TRANSFERS, SIGMOID_PX, crossing, lens_mtf
+from mmqa_lab.mtf.transfer import FITTED_TRANSFERS, FREQUENCIES, SIGMOID_PX, crossing, lens_mtf
 
 __all__ = ["StarMtf", "measure_star"]
 __dir__ = __all__.copy
@@ -33,6 +33,9 @@ NEARBY = 1.2
 
 RING_STEP_PX, RINGS_A_WIDTH = 0.5, 4
 """Distance between the beginnings of rings, which are two pixels wide: four rings share a pixel."""
+
+LEAST_CONTRAST = 0.3
+"""Contrast from which a transfer above the best lens's is sharpening."""
 
 LARGEST_STRETCH = 0.1
 """A star tilted by 35 degrees is stretched by this share along one axis, shrunk along the other."""
@@ -213,8 +216,14 @@ def measure_star(
     # three standard deviations of the Gaussian of the same MTF50
     clear = 0.56 / crossing(FREQUENCIES, lens(FREQUENCIES), 0.5)
     levels, borders, clipped = _plain_levels(pixels, place, n, radius, clear)
-    remarks = remarks_on(waves, clipped)
     scale, centre = 2 * _plain_level(lens, borders) / np.ptp(levels), tuple(place[:2].tolist())
+    outer = 0.8 * radius
+    first = lens(n / (2 * np.pi * outer))
+    square = [lens(k * n / (2 * np.pi * outer)) / first for k in (2, 3)]
+    waves_seen = _harmonics(pixels, place, n, outer)
+    model = np.abs(lens(frequency))
+    beyond = float((scale * amplitude - model)[model > LEAST_CONTRAST].max(initial=0))
+    remarks = remarks_on(waves, clipped, waves_seen, square, beyond)
     known = {"centre": centre, "tilt_deg": _tilt(place), "remarks": remarks}
     return StarMtf(frequency, scale * amplitude, scale * std, rings, **known)
 
@@ -295,8 +304,7 @@ def _lens_of(frequency, contrast):
         return ((seen - model * (model @ seen) / (model @ model)) ** 2).sum()
 
     choices = {"bounds": np.log(SIGMOID_PX), "method": "bounded"}
-    lenses = LENS_TRANSFERS.values()
-    fits = {lens: minimize_scalar(misfit, args=(lens,), **choices) for lens in lenses}
+    fits = {one: minimize_scalar(misfit, args=(one,), **choices) for one in FITTED_TRANSFERS}
     best = min(fits, key=lambda lens: fits[lens].fun)
     return partial(lens_mtf, best, float(np.exp(fits[best].x)))
 
@@ -326,6 +334,17 @@ def _ring(pixels, place, n, ring):
     variance = residuals @ residuals / max(len(values) - len(terms), 1)
     covariance = variance * np.linalg.pinv(design.T @ design)
     return coefficients[1:3], np.sqrt((covariance[1, 1] + covariance[2, 2]) / 2)
+
+
+def _harmonics(pixels, place, n, ring):
+    """Amplitudes of waves of two and three times the cycles over the star's own."""
+    r, azimuth = _polar(pixels, place)
+    inside = np.abs(r - ring) < 2
+    turns = np.outer(azimuth[inside], n * np.arange(1, 4))
+    design = np.column_stack([np.ones(len(turns)), np.cos(turns), np.sin(turns)])
+    found = np.linalg.lstsq(design, pixels[2][inside], rcond=None)[0]
+    size = np.hypot(found[1:4], found[4:])
+    return size[1:] / size[0]
 
 
 def _refined(pixels, place, n, rings):

@@ -6,7 +6,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import j1, ndtr
 
-__all__ = ["FREQUENCIES", "LENS_TRANSFERS", "SIGMOID_PX", "crossing", "lens_mtf", "spread_edge"]
+__all__ = [
+    "FITTED_TRANSFERS",
+    "FREQUENCIES",
+    "LENS_TRANSFERS",
+    "SIGMOID_PX",
+    "crossing",
+    "lens_mtf",
+    "spread_edge",
+]
 __dir__ = __all__.copy
 
 FREQUENCIES = np.linspace(0, 1, 401)
@@ -68,6 +76,11 @@ def _diffraction(x):
     return 2 / np.pi * (np.arccos(x) - x * np.sqrt(1 - x**2))
 
 
+def _exponential(x):
+    """Transfer of a spread that falls by e in each width, as of stray light."""
+    return (1 + (2 * np.pi * x) ** 2) ** -1.5
+
+
 def _gauss(x):
     """Transfer of a Gaussian at cycles per standard deviation."""
     return np.exp(-2 * np.pi**2 * x**2)
@@ -75,6 +88,9 @@ def _gauss(x):
 
 LENS_TRANSFERS = {"gaussian": _gauss, "disc": _disc, "diffraction": _diffraction}
 """Transfer functions of lenses at frequencies times their width (cycles per pixel, pixels)."""
+
+FITTED_TRANSFERS = (*LENS_TRANSFERS.values(), _exponential)
+"""Those of which the one that fits best tells what a lens takes from plain sectors."""
 
 
 def lens_mtf(transfer, width, frequencies):
