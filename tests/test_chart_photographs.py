@@ -182,6 +182,8 @@ def test_a_chart_behind_a_fence_is_found_and_what_it_hides_is_said(name):
     quality = chart_image.evaluate_image(shot.linear, CHART, there)
     assert np.median(away(shot, quality.chart_map)) < 0.4
     assert "hidden: " in "; ".join(quality.remarks)
+    off = [row.length_px - shot.length(CHART[row.name]) for row in quality.sizes.itertuples()]
+    assert (np.abs(off) < 2.5 * quality.sizes["length_sigma_px"]).all()
 
 
 @pytest.mark.parametrize("condition", ["blur 2", "motion 4", "base"])

@@ -22,7 +22,7 @@ END_REACH_PX, END_STEP_PX, END_OFF_PX = 6.0, 0.1, 2.0
 the outer one for black and white. How far from its place an end may be."""
 
 
-def pixel_sizes(tones, layout, chart_map):
+def pixel_sizes(tones, layout, chart_map, *, hidden=False):
     """Measure the pixel size along every long bar that is seen.
 
     The length of a bar is that between its ends in the map. Every pixel row or column along the
@@ -36,6 +36,8 @@ def pixel_sizes(tones, layout, chart_map):
         Bars five times longer than wide count.
     chart_map : ChartMap
         Aligned: right to a fifth of a pixel.
+    hidden : bool
+        Something stands before the chart, so that its map is no better than the ends of bars.
 
     Returns
     -------
@@ -66,7 +68,7 @@ def pixel_sizes(tones, layout, chart_map):
     rows = [_measured(tones, bar, chart_map) for bar in bars]
     table = pd.DataFrame(rows, columns=BAR_COLUMNS)
     # ends of all bars tell how far the map may be off, and it is better where they are sharp
-    share = SHARP_SHARE if chart_map.blur_px <= WIDE_PX else 1.0
+    share = 1.0 if hidden or chart_map.blur_px > WIDE_PX else SHARP_SHARE
     table["length_sigma_px"] = share * np.sqrt(2 * (table["offset_px"] ** 2).mean())
     table["pixel_mm"] = (table["length_mm"] / table["length_px"]).where(table["n"] > 0)
     table["pixel_sigma_mm"] = table["pixel_mm"] * table["length_sigma_px"] / table["length_px"]

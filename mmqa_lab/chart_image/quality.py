@@ -17,6 +17,7 @@ from mmqa_lab.chart_image.doubts import doubts
 from mmqa_lab.chart_image.finding import locate
 from mmqa_lab.chart_image.lengths import pixel_sizes
 from mmqa_lab.chart_image.line_pairs import (
+    HIDDEN,
     SMALLEST_GAP,
     SMALLEST_PAIR_PX,
     Resolution,
@@ -77,7 +78,8 @@ def evaluate_image(image: ArrayLike, layout: Layout, chart_map: ChartMap) -> Ima
     """
     chart_map = align(image, layout, chart_map)
     tones = find_tones(image, layout, chart_map)
-    sizes, pairs = (read(tones, layout, chart_map) for read in (pixel_sizes, read_pairs))
+    pairs = read_pairs(tones, layout, chart_map)
+    sizes = pixel_sizes(tones, layout, chart_map, hidden=(pairs["reason"] == HIDDEN).any())
     return ImageQuality(chart_map, tones, sizes, pairs, np.asarray(image), layout)
 
 
