@@ -30,7 +30,8 @@ def info(clouds: list[Path], /):
     import pandas as pd
 
     inside = [sorted(one.rglob("*")) if one.is_dir() else [one] for one in clouds]
-    files = [one for some in inside for one in some if one.is_file() or one in clouds]
+    whole = [one for some in inside for one in some if one.is_file() or one in clouds]
+    files = [one for one in whole if not one.name.startswith(".") or one in clouds]
     if not files:
         raise ValueError(f"Invalid folder {clouds[0]}: no file in it. Must contain one.")
     return each_file(files, "file", lambda file: pd.DataFrame([_contents(file)]))

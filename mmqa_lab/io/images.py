@@ -17,11 +17,13 @@ import numpy as np
 
 from mmqa_lab._checks import check_file, refuse
 from mmqa_lab.io.files import HEAD, reading
+from mmqa_lab.io.signatures import refuse_unread
 
 __all__ = ["IMAGE_ENDINGS", "read_bands", "read_image"]
 
 TIFF_ENDINGS = (".tif", ".tiff")
-IMAGE_ENDINGS = (*TIFF_ENDINGS, ".jpg", ".jpeg", ".png")
+DNG_ENDINGS = (".dng",)
+IMAGE_ENDINGS = (*TIFF_ENDINGS, *DNG_ENDINGS, ".jpg", ".jpeg", ".png")
 IMAGES = "a complete JPEG, PNG or TIFF file of 8 or 16 bits"
 
 # Kinds of pages and of grey values in TIFF 6.0, and how each orientation is turned upright.
@@ -39,6 +41,15 @@ DAMAGED = re.compile(
     rb"Corrupt JPEG data(?!: \d+ extraneous bytes before marker 0xd9)|Premature end"
 )
 DECODING = threading.Lock()
+
+# Colour filters of a sensor (DNG), linear RAW, and inks.
+RAW, INKS = (32803, 34892), 5
+
+# Curves of an ICC profile (ICC.1, 10.6 and 10.18) that leave values as they are, and its head.
+LINEAR_CURVES = (
+    b"curv" + bytes(8), b"curv" + bytes(4) + b"\0\0\0\1\1\0", b"para" + bytes(8) + b"\0\1\0\0"
+)  # fmt: skip
+ICC_HEAD = 128
 
 # Markers of JPEG without a length (ISO 10918-1, B.1.1.3).
 BARE_MARKERS = (0x01, *range(0xD0, 0xD9), 0xFF)
@@ -75,7 +86,7 @@ def read_image(path: str | os.PathLike) -> np.ndarray:
     """
     import cv2
 
-    if check_file(path, "image").suffix.lower() in TIFF_ENDINGS:
+    if check_file(path, "image").suffix.lower() in (*TIFF_ENDINGS, *DNG_ENDINGS):
         bands = read_bands(path)
         colour = np.ascontiguousarray(np.moveaxis(bands[:3], 0, 2))
         grey = cv2.cvtColor(colour, cv2.COLOR_RGB2GRAY) if len(bands) > 2 else bands[0]
@@ -95,7 +106,7 @@ def read_bands(path: str | os.PathLike) -> np.ndarray:
     """
     import cv2
 
-    if check_file(path, "image").suffix.lower() not in TIFF_ENDINGS:
+    if check_file(path, "image").suffix.lower() not in (*TIFF_ENDINGS, *DNG_ENDINGS):
         pixels = np.atleast_3d(_decoded(path, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH))
         return np.moveaxis(pixels[..., ::-1], 2, 0)  # OpenCV begins with blue
     with open_tiff(path, "image", IMAGES) as file:
@@ -125,12 +136,16 @@ def open_tiff(path, name, wanted):
 
 
 def first_page(path, file):
-    """The first page of a TIFF file; that there are others of its size is said."""
+    """The first whole picture of a TIFF file; that there are others of its size is said."""
     with reading(path, "image", IMAGES):
-        page, same = file.pages[0], 0
-        _check_pixels(path, page.shape)
-        for one in file.pages[:LISTED_PAGES]:
-            same += one.shape == page.shape and not one.subfiletype
+        tops = list(file.pages[:LISTED_PAGES])
+        inside = [one for top in tops for one in (top, *(top.pages or ()))]
+        page = next((one for one in inside if not one.subfiletype & 1), tops[0])
+        same = sum(one.shape == page.shape and not one.subfiletype for one in tops)
+    _check_pixels(path, page.shape)
+    what = f"image {path}"
+    refuse(page.photometric in RAW, what, "a RAW photograph", "developed, and saved as TIFF")
+    refuse(page.photometric == INKS, what, "of inks (CMYK)", "of grey or RGB; save it as such")
     if same > 1:
         warnings.warn(f"Read the first of {same} pages of {path}.", stacklevel=3)
     return page
@@ -188,13 +203,29 @@ def _decoded(path, flags):
     refuse(not _is_complete(data), f"image {path}", "cut short", IMAGES)
     if data[:2] == b"\x89P":
         _check_pixels(path, struct.unpack(">II", data[16:24].ljust(8, b"\0")))
+    _say_profile(data, path)
     # OpenCV prints what it dislikes of a file; the sentence says it
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     with reading(path, "image", IMAGES), _printed_below() as printed:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)  # any letters in the path
     refuse(DAMAGED.search(printed.getvalue()), f"image {path}", "damaged", IMAGES)
+    if pixels is None:
+        refuse_unread(path, "image", endings=False)
     refuse(pixels is None, f"image {path}", "no image that can be decoded", IMAGES)
     return pixels
+
+
+def _say_profile(data, path):
+    """Say that the colour profile of an image is linear."""
+    from PIL import Image
+
+    with contextlib.suppress(Exception), Image.open(BytesIO(data)) as image:  # or without one
+        profile = image.info.get("icc_profile", b"")
+        entry = profile.find(b"TRC", ICC_HEAD)
+        start = int.from_bytes(profile[entry + 3 : entry + 7], "big")
+        if entry > 0 and profile[start:].startswith(LINEAR_CURVES):
+            told = f"{path} has a colour profile that is linear in light."
+            warnings.warn(told, stacklevel=4)
 
 
 def _is_complete(data):

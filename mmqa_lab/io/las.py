@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import struct
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike
 from mmqa_lab._checks import check_choice, check_columns, check_points, refuse
 from mmqa_lab.cloud import Cloud, extent
 from mmqa_lab.io.files import reading, write_atomically
+from mmqa_lab.io.las_heads import plain_source
 from mmqa_lab.io.marks import FLAGS, Piece
 from mmqa_lab.io.systems import las_system
 
@@ -137,12 +139,20 @@ def las_pieces(path, chunk, columns):
     """The pieces of a LAS or LAZ file."""
     import laspy
 
+    with path.open("rb") as file:
+        version = (*file.read(26)[24:], 1, 4)[:2]
+    newer = not (1, 0) <= version <= (1, 4)
+    refuse(newer, f"cloud {path}", f"LAS {version[0]}.{version[1]}", "LAS 1.0 to 1.4")
     with reading(path, "cloud", LAS):
         _check_sizes(path)
-        reader = laspy.open(path)
+        reader = laspy.open(plain_source(path))
     with reader:
         header, read = reader.header, 0
         _check_header(path, header)
+        extra = len(header.vlrs.get("ExtraBytesVlr"))
+        if extra > 1:
+            told = f"Read the first of {extra} records of extra bytes of {path}."
+            warnings.warn(told, stacklevel=4)
         about = {"resolution": float(max(header.scales)), "crs": las_system(header, path)}
         names = [n for n in header.point_format.dimension_names if n not in ("X", "Y", "Z")]
         if columns is not None:

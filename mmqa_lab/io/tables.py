@@ -51,6 +51,9 @@ ERROR_WORDS = re.compile(rb"#(N/A|REF!|VALUE!|DIV/0!|NAME\?|NUM!|NULL!)|-?1\.#[A
 SEPARATOR_LINE = re.compile(rb'"?sep=."?\s*')
 UNIT_WORD = re.compile(r"|[(\[].*[)\]]|m|s|sec|deg|rad|gon|degrees|metres|meters|seconds")
 
+# Letters of a column's name at most.
+LONGEST_HEADER = 200
+
 # Rows of a text that tell its separator, decimal sign and names.
 SAMPLE = 60
 
@@ -74,8 +77,9 @@ def text_table(path: str | os.PathLike, name: str, *, header: str = "") -> pd.Da
             lines.append((found.start(), line.partition(" #")[0].strip()))
         if len(lines) == SAMPLE:
             break
+    count = 0
     if len(lines) > 1 and lines[0][1].isdigit() and not lines[1][1].isdigit():
-        del lines[0]  # the count of the points
+        count = int(lines.pop(0)[1][:LONGEST_HEADER])  # of the points, as in PTS
     refuse(not lines, what, "no rows", "rows of columns")
     words = [_words(line) for _, line in lines]
     usual = Counter(map(len, words)).most_common(1)[0][0]
@@ -103,6 +107,8 @@ def text_table(path: str | os.PathLike, name: str, *, header: str = "") -> pd.Da
     if any(b"," in rows and table[k].dtype.kind not in "iufb" for k in table):
         texts = _read_csv(BytesIO(rows), what, dtype=object, keep_default_na=False, **layout)
         table = parsed(texts, what, separator=separator)
+    short = f"{len(table)} rows where its first line says {count}"
+    refuse(len(table) < count, what, short, "as many")
     return _with_names(table, names, what)
 
 
@@ -169,6 +175,8 @@ def _has_split_numbers(rows, names):
 
 def _with_names(table, names, what):
     """A table of a text file with the names of its columns."""
+    long = max(map(len, names or [""])) > LONGEST_HEADER
+    refuse(long, what, f"a name of more than {LONGEST_HEADER} letters", "named shortly")
     names = names and "\0".join(names).rstrip("\0").split("\0")
     count = len(names) if names else len(table.columns)
     if len(table.columns) > count and table.iloc[:, count:].isna().all(axis=None):

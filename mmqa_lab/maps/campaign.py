@@ -155,6 +155,7 @@ def _files(paths):
     found = {}
     for path in map(Path, paths):
         inside = [file for file in path.rglob("*") if file.suffix.lower() in LAS_ENDINGS]
+        inside = [file for file in inside if not file.name.startswith(".")]
         if path.is_dir() and not inside:
             raise ValueError(f"Invalid folder {path}: no cloud. Must contain .las or .laz files.")
         for file in inside if path.is_dir() else [check_file(path, "cloud")]:

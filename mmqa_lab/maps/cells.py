@@ -219,7 +219,14 @@ def dataset_of(table, run):
     step_mm = 1000 * run["step"]
     below = is_below_step(data["d1"][1], step_mm)
     data["f"][1][below] = np.nan
-    axes = {name: (name, (place + 0.5) * cell, {"units": "m"}) for name, place in places.items()}
+    axes = {  # by their standard names a GIS finds the place of a map
+        name: (
+            name,
+            (place + 0.5) * cell,
+            {"units": "m", "standard_name": f"projection_{name}_coordinate"},
+        )
+        for name, place in places.items()
+    }
     medians = pd.DataFrame(table[:, 2 : 2 + len(FIGURES)], columns=list(FIGURES)).median()
     same = np.nansum(data["coincident"][1]), data["n"][1].sum()
     remarks = [*run["remarks"], *_remarks(medians, step_mm, int(below.sum()), *same)]
