@@ -9,7 +9,7 @@ from pathlib import Path
 __all__ = ["plain_source"]
 
 # Bytes of the head of a record before the points.
-RECORD = 54
+RECORD_HEAD = 54
 
 
 def plain_source(path):
@@ -23,8 +23,8 @@ def plain_source(path):
         before = bytearray(file.read(points))
         spans, at = [slice(26, 90)], start
         for _ in range(records):
-            spans += [slice(at + 2, at + 18), slice(at + 22, at + RECORD)]
-            at += RECORD + struct.unpack("<H", before[at + 20 : at + 22])[0]
+            spans += [slice(at + 2, at + 18), slice(at + 22, at + RECORD_HEAD)]
+            at += RECORD_HEAD + struct.unpack("<H", before[at + 20 : at + 22])[0]
         if all(bytes(before[span]).isascii() for span in spans):
             return path
         for span in spans:
