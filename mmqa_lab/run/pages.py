@@ -123,6 +123,7 @@ def write_ledger(path, rows, quick=False):
     shown = rows[LEDGER_COLUMNS if quick else ["verdict", *LEDGER_COLUMNS]].to_html(
         index=False, border=0
     )
+    shown = shown.replace("<table ", '<table tabindex="0" ', 1)  # for those who scroll by keys
     page = filled("ledger.html", counts=counts, zeros=zeros, table=shown)
     write_atomically(path, page)
     return counts
