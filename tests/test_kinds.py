@@ -16,12 +16,13 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+import pyproj
 import pytest
 import shapely
 import xarray as xr
 
 import mmqa_lab
-from mmqa_lab import charts, simulate
+from mmqa_lab import charts, io, simulate
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.mtf.transfer import spread_edge
 from mmqa_lab.simulate.targets import PointSpread, render_star
@@ -315,7 +316,8 @@ LEFT_OUT = {
         chart_image.evaluate_file io.iterate_cloud io.own_folder io.read_bands io.read_camera
         io.read_cloud io.read_heights io.read_image io.read_polygon io.read_segments io.read_table
         io.read_trajectory io.with_numbers io.write_atomically io.write_cloud io.write_polygon
-        maps.map_campaign maps.open_map""",
+        io.read_outlines
+        io.write_outlines maps.map_campaign maps.open_map""",
     "take minutes": "boresight.calibrate",
 }
 
@@ -617,3 +619,44 @@ def narrower(base, found):
         and n in found and base[n].shape == found[n].shape and base[n].dtype.kind == "f"
         and (found[n] < 0.9 * base[n]).any()
     ]  # fmt: skip
+
+
+# Names, and what is written and read back
+
+ODD_NAMES = ("a b", "ü ß", "$x_1$", "50% & more#1", "<b>", "~", ".hidden", "\u05d0\u05d1")
+
+
+@pytest.mark.parametrize("name", ODD_NAMES)
+def test_files_of_any_name_are_written_and_read_back_as_they_were(name, tmp_path):
+    folder = tmp_path / name
+    points = np.array([[452123.457, 5411987.123, 511.002], [452124.0, 5411988.5, 512.25]])
+    cloud = Cloud(points, {"intensity": np.array([3, 4])}, crs=pyproj.CRS("EPSG:25832"))
+    io.write_cloud(folder / f"{name}.laz", cloud)
+    again = io.read_cloud(folder / f"{name}.laz")
+    assert np.abs(again.points - points).max() < 1e-6
+    assert again["intensity"].tolist() == [3, 4]
+    assert again.crs.to_epsg() == 25832
+    io.write_polygon(folder / f"{name}.geojson", SQUARE + points[0])
+    assert np.abs(io.read_polygon(folder / f"{name}.geojson") - SQUARE - points[0]).max() < 1e-6
+    table = pd.DataFrame({"name": [name, "001"], "x_m": points[:, 0], "n": [3, 4], "reason": ""})
+    io.write_atomically(folder / f"{name}.csv", table)
+    read = io.read_table(folder / f"{name}.csv", "table")
+    assert read["name"].tolist() == [name, "001"]
+    assert read["x_m"].tolist() == points[:, 0].tolist()
+    assert read["n"].tolist() == [3, 4]
+    assert read["reason"].fillna("?").tolist() == ["", ""]
+
+
+def test_the_home_folder_is_meant_by_its_sign(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    io.write_atomically("~/a.csv", pd.DataFrame({"a": [1]}))
+    assert (tmp_path / "a.csv").is_file()
+    assert len(io.read_table("~/a.csv", "table")) == 1
+
+
+def test_a_result_that_was_written_is_the_same_result_when_it_is_read(tmp_path):
+    heights, plan = FUNCTIONS["test_field.height_accuracy"], FUNCTIONS["test_field.plan_accuracy"]
+    for function, table in ((heights, HEIGHTS), (plan, OFFSETS)):
+        io.write_atomically(tmp_path / "t.csv", table)
+        again = function(io.read_table(tmp_path / "t.csv", "table"))
+        assert again.equals(function(table))

@@ -63,7 +63,8 @@ def read_camera(path: str | os.PathLike) -> tuple[np.ndarray, np.ndarray, tuple[
     >>> matrix[0].tolist(), distortion.tolist(), size
     ([900.0, 0.0, 320.0], [-0.1, 0.0, 0.0, 0.0], None)
     """
-    small = check_file(path, "camera").stat().st_size <= LARGEST_CAMERA
+    path = check_file(path, "camera")
+    small = path.stat().st_size <= LARGEST_CAMERA
     refuse(not small, f"camera {path}", "more than 1 MB", CALIBRATION)
     text = plain_text(path).decode()
     known = {}

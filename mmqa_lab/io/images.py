@@ -86,7 +86,8 @@ def read_image(path: str | os.PathLike) -> np.ndarray:
     """
     import cv2
 
-    if check_file(path, "image").suffix.lower() in (*TIFF_ENDINGS, *DNG_ENDINGS):
+    path = check_file(path, "image")
+    if path.suffix.lower() in (*TIFF_ENDINGS, *DNG_ENDINGS):
         bands = read_bands(path)
         colour = np.ascontiguousarray(np.moveaxis(bands[:3], 0, 2))
         grey = cv2.cvtColor(colour, cv2.COLOR_RGB2GRAY) if len(bands) > 2 else bands[0]
@@ -106,7 +107,8 @@ def read_bands(path: str | os.PathLike) -> np.ndarray:
     """
     import cv2
 
-    if check_file(path, "image").suffix.lower() not in (*TIFF_ENDINGS, *DNG_ENDINGS):
+    path = check_file(path, "image")
+    if path.suffix.lower() not in (*TIFF_ENDINGS, *DNG_ENDINGS):
         pixels = np.atleast_3d(_decoded(path, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH))
         return np.moveaxis(pixels[..., ::-1], 2, 0)  # OpenCV begins with blue
     with open_tiff(path, "image", IMAGES) as file:

@@ -55,7 +55,8 @@ def read_heights(path: str | os.PathLike, *, crs: object = None) -> np.ndarray:
     ...     read_heights(Path(folder) / "levelled.csv").tolist()
     [[0.0, 0.0, 1.25], [1.0, 0.0, 1.5]]
     """
-    raster = check_file(path, "reference").suffix.lower() in TIFF_ENDINGS
+    path = check_file(path, "reference")
+    raster = path.suffix.lower() in TIFF_ENDINGS
     cloud, total = _raster_cloud(path) if raster else (read_cloud(path, columns=()), 0)
     check_same_crs(f"reference {path}", cloud.crs, "cloud", crs)
     high = np.abs(cloud.points[:, 2]) >= NO_HEIGHT_M

@@ -114,7 +114,8 @@ def text_table(path: str | os.PathLike, name: str, *, header: str = "") -> pd.Da
 
 def sheet_text(path, name):
     """The text of a file of rows: of a workbook, the first sheet as CSV."""
-    if check_file(path, name).suffix.lower() not in (".xlsx", ".xlsm"):
+    path = check_file(path, name)
+    if path.suffix.lower() not in (".xlsx", ".xlsm"):
         return plain_text(path)
     needs("files", "openpyxl")
     with reading(path, name, "an Excel workbook"):
