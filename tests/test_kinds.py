@@ -322,7 +322,6 @@ LEFT_OUT = {
 }
 
 WAITING = {
-    "mtf.fit_edge": "tones 1e-06, 0",
     "test_field.compare_heights:reference": "every row twice",
 }
 """Kinds of which a function is known to be wrong until its room is mended."""
