@@ -9,5 +9,6 @@ is the subject of notebook 12.
 from mmqa_lab.metrics import amount, evenness, gaps
 from mmqa_lab.metrics.pattern import Pattern
 from mmqa_lab.metrics.registry import METRICS, Metric, table
+from mmqa_lab.metrics.supports import supports
 
-__all__ = ["METRICS", "Metric", "Pattern", "amount", "evenness", "gaps", "table"]
+__all__ = ["METRICS", "Metric", "Pattern", "amount", "evenness", "gaps", "supports", "table"]

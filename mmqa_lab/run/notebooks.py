@@ -43,7 +43,7 @@ WIDTH_PX, THUMBNAIL_PX = 1000, 280
 TASKS = "fitness/tasks_by_figures.csv"
 
 # The first figure of the README, in the folder of results.
-KEY_FIGURE = "anisotropy/patterns.png"
+KEY_FIGURE = "fitness/six_clouds.png"
 
 
 def run_study(study, folder, *, quick=False):

@@ -1,0 +1,180 @@
+"""The comparison: metrics of charts by what can be done with the clouds, like with like."""
+
+import numpy as np
+import pandas as pd
+from scipy.stats import rankdata, t
+
+from mmqa_lab import bench as benches
+from mmqa_lab.metrics import METRICS
+from mmqa_lab.spacing import exempt
+from mmqa_lab.studies.fitness.tasks import GOOD
+
+__all__ = ["FEW", "correlations", "halves", "matrix", "measured", "thresholds", "written"]
+
+FEW = 10
+"""Fewest fit and unfit clouds with which metrics are judged."""
+
+RHO0 = 3000.0
+"""The density of section 4.2 of Pfeifer et al. 2021, with its exemption."""
+
+
+def measured(results):
+    """Return the metrics, turned so that less is better, and the errors of each case, DataFrames.
+
+    ``results`` is the Dataset of a bench. A metric that cannot be measured counts as the worst.
+    Figures of one's own are taken as less is better.
+    """
+    cells, keys = benches.cell_table(results), [d for d in results.dims if d != "method"]
+    figures = cells.pivot(index=keys, columns="method", values="value")
+    figures = figures[results["method"].to_numpy()]
+    for name in figures:
+        known = METRICS.get(name, METRICS["anps"])
+        figures[name] = known.worst_last(figures[name])
+    errors = cells.groupby(keys).first().filter(like="truth_").loc[figures.index]
+    errors.columns = errors.columns.str.removeprefix("truth_")
+    return figures.reset_index(drop=True), errors.reset_index(drop=True)
+
+
+def correlations(figures, errors, *, resamples=300):
+    """Return the rank correlation of each metric with the error of each task.
+
+    Parameters
+    ----------
+    figures, errors : DataFrame
+        From :func:`measured`, a row for each acquisition, in the same order.
+    resamples : int
+        Bootstrap samples of the acquisitions.
+
+    Returns
+    -------
+    DataFrame
+        ``method``, ``spearman``, ``low``, ``high`` (95 %), ``task``, ``n``.
+    """
+    rows, rng = [], np.random.default_rng(0)
+    for task in (name for name in errors if name in GOOD):
+        known = errors[task].notna().to_numpy()
+        values = np.vstack([figures[known].to_numpy().T, errors[task][known]])
+        n = values.shape[1]
+        if n < 3:
+            continue
+        drawn = [_spearman(values[:, draw]) for draw in rng.integers(n, size=(resamples, n))]
+        ends = np.percentile(drawn, (2.5, 97.5), axis=0)
+        rows += [(*row, task, n) for row in zip(figures, _spearman(values), *ends, strict=True)]
+    return pd.DataFrame(rows, columns=["method", "spearman", "low", "high", "task", "n"])
+
+
+def _spearman(values):
+    """Rank correlation of the last row with the others; 0 without spread."""
+    ranks = rankdata(values, axis=1)
+    ranks -= ranks.mean(axis=1, keepdims=True)
+    length = np.sqrt((ranks**2).sum(axis=1))
+    return ranks[:-1] @ ranks[-1] / np.maximum(length[:-1] * length[-1], 1e-9)
+
+
+def matrix(found, value="spearman"):
+    """Return a table of :func:`correlations` with a row a metric and a column a task."""
+    wide = found.pivot(index="method", columns="task", values=value)
+    return wide.loc[found["method"].unique(), found["task"].unique()].reset_index()
+
+
+def written(figures):
+    """Return whether each acquisition is accepted by rules as they are written, by their names.
+
+    ``figures`` comes from :func:`measured`; no threshold is chosen.
+    """
+    free = exempt(figures["d1"] / 1000, figures["d4"] / 1000, RHO0)
+    return {
+        "accept all": figures["f"] > -np.inf,
+        "density ≥ 3000/m² (Pfeifer et al.)": -figures["density"] >= RHO0,
+        "f < 2": figures["f"] < 2,
+        "f < 2 or exempt": (figures["f"] < 2) | free,
+        "cells of 2 ANPS ≥ 90 % (USGS)": -figures["usgs_distribution"] >= 0.9,
+    }
+
+
+def halves(figures, errors, *, good=GOOD, repeats=100, seed=0):
+    """Judge metrics with thresholds from a random half of the acquisitions on the other half.
+
+    Parameters
+    ----------
+    figures, errors : DataFrame
+        From :func:`measured`.
+    good : dict
+        Largest error of each task with which a cloud is fit.
+    repeats : int
+        Random halves.
+    seed : int
+        Of the halves.
+
+    Returns
+    -------
+    DataFrame
+        For each ``task`` and ``method``: ``limit`` (median of the thresholds), ``balanced``
+        (balanced accuracy on the other halves, the mean) with ``low`` and ``high``; ``behind``, how
+        much the best metric of the task has more, with ``behind_low`` and ``behind_high``; ``n``
+        and ``fit``. Tasks with fewer than ``FEW`` fit or unfit clouds are left out.
+
+    Notes
+    -----
+    Random halves share clouds. So the variance of a mean over J of them is taken as (1 / J + 1)
+    times the variance between them (Nadeau and Bengio 2003, doi:10.1023/A:1024068626366; the test
+    half is as large as the other). Intervals of differences hold together for all metrics of a
+    task: their level is 1 - 0.05 / (metrics - 1) (Bonferroni).
+    """
+    rows, rng = [], np.random.default_rng(seed)
+    wide = 1 / repeats + 1
+    for task, limit in good.items():
+        known = errors[task].notna().to_numpy()
+        fit, values = (errors[task][known] <= limit).to_numpy(), figures[known].to_numpy()
+        if np.bincount(fit, minlength=2).min() < FEW:
+            continue
+        scores, limits = np.empty((2, repeats, len(figures.columns)))
+        for k in range(repeats):
+            chooses = _half(fit, rng)
+            limits[k] = thresholds(values[chooses], fit[chooses])
+            right = (values[~chooses] <= limits[k]) == fit[~chooses, None]
+            scores[k] = (right[fit[~chooses]].mean(axis=0) + right[~fit[~chooses]].mean(axis=0)) / 2
+        best = np.argmax(scores.mean(axis=0))
+        behind = scores[:, [best]] - scores
+        single, many = t.ppf([0.975, 1 - 0.025 / max(len(figures.columns) - 1, 1)], repeats - 1)
+        for k, name in enumerate(figures):
+            mean, off = scores[:, k].mean(), behind[:, k].mean()
+            reach = single * np.sqrt(wide * scores[:, k].var(ddof=1))
+            away = many * np.sqrt(wide * behind[:, k].var(ddof=1))
+            middle = np.median(limits[:, k]) * (-1 if _is_more(name) else 1)
+            ends = mean - reach, min(mean + reach, 1), off, off - away, off + away
+            rows.append((task, name, middle, mean, *ends, len(fit), int(fit.sum())))
+    columns = ["task", "method", "limit", "balanced", "low", "high", "behind", "behind_low"]
+    return pd.DataFrame(rows, columns=[*columns, "behind_high", "n", "fit"])
+
+
+def _is_more(name):
+    """Whether more of a metric is better."""
+    return name in METRICS and METRICS[name].better == "more"
+
+
+def _half(fit, rng):
+    """Half of the fit and half of the unfit clouds, by chance."""
+    chosen = np.zeros(len(fit), dtype=bool)
+    for part in (np.flatnonzero(fit), np.flatnonzero(~fit)):
+        chosen[rng.permutation(part)[: (len(part) + rng.integers(2)) // 2]] = True
+    return chosen
+
+
+def thresholds(values, fit):
+    """Return the upper limits, (k,), with the largest balanced accuracy.
+
+    ``values`` is (n, k), ``fit`` (n,). A limit lies half-way to the next value; of
+    several as good the middle one is taken.
+    """
+    order = np.argsort(values, axis=0, kind="stable")
+    ranked = np.take_along_axis(values, order, axis=0)
+    fits = fit[order]
+    gain = np.cumsum(np.where(fits, 1 / max(fit.sum(), 1), -1 / max((~fit).sum(), 1)), axis=0)
+    last = np.vstack([ranked[1:] > ranked[:-1], np.ones(values.shape[1], bool)])
+    gain = np.where(last & np.isfinite(ranked), gain, -np.inf)
+    top = gain >= gain.max(axis=0) - 1e-12
+    middle = np.argmax(np.cumsum(top, axis=0) >= (top.sum(axis=0) + 1) // 2, axis=0)
+    at = np.arange(values.shape[1])
+    low, high = ranked[middle, at], ranked[np.minimum(middle + 1, len(values) - 1), at]
+    return np.where(np.isfinite(high), (low + np.where(np.isfinite(high), high, 0)) / 2, low)
