@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from mmqa_lab import poles
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.poles import common, fgi, itc, learned
+from mmqa_lab.poles.trees import FILE, OF_STREETS, read
 from mmqa_lab.simulate import streets
 
 
@@ -192,11 +193,31 @@ def test_trees_follow_their_nodes_as_lightgbm_does(rng):
 
 
 def test_trees_are_written_as_they_are_read(tmp_path):
-    trees = learned.shipped()
-    learned.write(tmp_path / "trees.csv", trees)
-    shipped = learned.FILE.read_bytes()
-    assert (tmp_path / "trees.csv").read_bytes() == shipped
-    assert len(shipped) < 200_000
+    for file in (FILE, OF_STREETS):
+        learned.write(tmp_path / file.name, read(file))
+        shipped = file.read_bytes()
+        assert (tmp_path / file.name).read_bytes() == shipped
+        assert len(shipped) < 200_000
+
+
+def test_two_forests_have_their_mean_log_odds(rng):
+    x = pd.DataFrame(rng.uniform(0, 3, (300, len(learned.MEASURES))), columns=[*learned.MEASURES])
+    odds = [read(file).log_odds(x) for file in (FILE, OF_STREETS)]
+    assert np.allclose(learned.shipped().log_odds(x), np.mean(odds, axis=0))
+    assert np.std(odds[0] - odds[1]) > 0.1
+
+
+def test_finds_move_with_a_cloud_of_rounded_heights(rng):
+    parts = [post(x, y, height=h, line=100 * k) for k, (x, y, h) in enumerate(
+        [(0, 0, 3.0), (3, 1, 2.2), (-3, 0.5, 4.0), (6, 0, 1.6)])]  # fmt: skip
+    points = np.round(scene(*parts, wall(-8, 8, 3, line=900), rng=rng).points, 2)
+    columns = ["x_m", "y_m", "z_base_m", "height_m", "score"]
+    here = poles.detect(points)[columns]
+    assert len(here) >= 3
+    for move in np.array([[0, 0, 100.0], [1e6, -2e6, 0.07]]):
+        there = poles.detect(np.round(points + move, 2))[columns]
+        there.iloc[:, :3] -= move
+        assert np.allclose(np.sort(there, axis=0), np.sort(here, axis=0), atol=0.005, rtol=0)
 
 
 def test_lessons_leave_out_what_is_neither_near_nor_far(rng):

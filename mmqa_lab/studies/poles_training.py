@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab.poles import learned
+from mmqa_lab.poles.trees import FILE
 from mmqa_lab.simulate import PRESETS, Scene, streets, surfaces
 from mmqa_lab.simulate.surfaces import box, cylinder, rectangle
 
@@ -332,4 +333,4 @@ def calibrated(trees):
 
 
 if __name__ == "__main__":
-    learned.write(learned.FILE, calibrated(learned.grow(*lessons(EXAMPLES))))
+    learned.write(FILE, calibrated(learned.grow(*lessons(EXAMPLES))))
