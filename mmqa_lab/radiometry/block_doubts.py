@@ -38,7 +38,10 @@ def warn(block, estimate, value, std, share, adjusted_std):
     spread = misfit_scale(share)
     # what control leaves over its own standard deviation (Baarda); one that is wrong draws others
     free = np.sqrt(np.maximum(std**2 - adjusted_std**2, 1e-4 * std**2))
-    left = np.where(np.isfinite(std), np.abs(estimate - value) / free, 0)
+    # images that agree with each other against it do not count, and leave it as it is
+    of_ties = pd.Series(share).groupby(block.tie).median().abs().to_numpy() * estimate
+    left = np.maximum(np.abs(estimate - value) / free, of_ties / np.hypot(std, spread * estimate))
+    left = np.where(np.isfinite(std), left, 0)
     doubtful = block.ties[(left > CONTRADICTS) & (left == left.max())]
     counts = np.abs(share) <= SHADOW * spread
     odd = 1 - counts.mean()
