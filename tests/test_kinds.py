@@ -124,7 +124,8 @@ class Case(NamedTuple):
     ``order``: rows in another order change nothing, or (``rows``) only the order of the answer.
     ``shift``: nothing but coordinates follows a shift. ``scale``: every number follows a power of
     the unit. ``twice``: intervals are no narrower where every row stands twice. ``missing``: NaN
-    stands for what is not known. ``array``: tables are not taken. ``tone``: grey values times a
+    stands for what is not known. ``large``: infinity is a large value, of which a median knows
+    enough. ``array``: tables are not taken. ``tone``: grey values times a
     factor and plus an offset change nothing.
     """
 
@@ -255,8 +256,8 @@ CASES = dict(
            truth=np.arange(20.0)),
         of("stats", "student_reach", "values", exact([0.1, 0.2]), "scale", freedom=[3, 9]),
         of("stats", "mean_reach", "values", VALUES, "scale", block=BLOCKS),
-        of("stats", "median_interval", "values", VALUES, "scale missing", block=BLOCKS),
-        of("stats", "median_ratio_interval", "values", VALUES, "missing",
+        of("stats", "median_interval", "values", VALUES, "scale missing large", block=BLOCKS),
+        of("stats", "median_ratio_interval", "values", VALUES, "missing large",
            bottom=VALUES[::-1].copy(), block=BLOCKS),
         of("stats", "order_parts", "plan", XY, "rows", direction=10.0),
         of("tender", "qualification", "table",
@@ -507,7 +508,7 @@ def told(name, kinds, found, said):
     """Whether an answer to data that lack something says so."""
     if "missing" in kinds and name.startswith("NaN"):
         return True
-    if not name.startswith(MUST_BE_SAID):
+    if not name.startswith(MUST_BE_SAID) or ("large" in kinds and name == "inf"):
         return True
     unknown = any(one.dtype.kind == "f" and not np.isfinite(one).all() for one in found.values())
     return bool(said) or unknown

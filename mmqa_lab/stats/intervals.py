@@ -124,6 +124,8 @@ def student_reach(std: ArrayLike, freedom: ArrayLike) -> np.ndarray:
     [12.706, 2.262, 1.962]
     """
     std, freedom = real_array(std, "std"), real_array(freedom, "freedom")
+    apart = {np.shape(std), np.shape(freedom)} - {()}
+    refuse(len(apart) > 1, "std", f"shape {np.shape(std)}", f"as freedom, {np.shape(freedom)}")
     return stdtrit(np.where(np.greater(freedom, 0), freedom, np.nan), 0.975) * std
 
 
