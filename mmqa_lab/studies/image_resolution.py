@@ -105,7 +105,7 @@ def rise(patch):
 
 METHODS = {
     "rise 10-90 %": rise,
-    "bins (ISO 12233)": partial(estimate, method="binned"),
+    "curve through bins": partial(estimate, method="binned"),
     "Gaussian sigmoid": partial(estimate, method="sigmoid"),
     "logistic sigmoid": partial(estimate, method="logistic"),
 }
