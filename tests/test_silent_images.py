@@ -43,7 +43,7 @@ def of_photograph(image, figure, tmp_path, *, linear=True, **choices):
     file = tmp_path / "photo.png"
     cv2.imwrite(str(file), np.uint8(np.clip(255 * image, 0, 255)) if linear else image)
     row = commands.image([file], linear=linear, **choices).iloc[0]
-    return row[figure], row["remark"]
+    return row[figure], row["remarks"]
 
 
 def over_truth(figure, value, length):

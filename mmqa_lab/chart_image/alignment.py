@@ -7,11 +7,12 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_image, refuse
 from mmqa_lab.chart_image.bends import SPREADS, straight, with_bend
-from mmqa_lab.chart_image.maps import mirrored, plain
-from mmqa_lab.charts import LinePairs, reflectance
+from mmqa_lab.chart_image.maps import ChartMap, mirrored, plain
+from mmqa_lab.charts import Layout, LinePairs, reflectance
 
 __all__ = ["CERTAIN", "CLEARLY", "MIDDLE", "SIGMAS_PX", "SMALLEST_CORRELATION", "Level", "align"]
 
@@ -43,7 +44,7 @@ LARGEST_BEND = 0.06
 STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 60, 1e-6)
 
 
-def align(image, layout, chart_map):
+def align(image: ArrayLike, layout: Layout, chart_map: ChartMap) -> ChartMap:
     """Improve a map by the whole printed chart.
 
     In the chart's frame, photograph and print are each divided by their local mean and spread;

@@ -6,7 +6,9 @@ import numpy as np
 
 from mmqa_lab._results import sentences
 from mmqa_lab.chart_image.line_pairs import HIDDEN, MOVED, SMALLEST_PAIR_PX, is_crossed
-from mmqa_lab.charts import Text
+from mmqa_lab.chart_image.maps import ChartMap
+from mmqa_lab.chart_image.tones import Tones
+from mmqa_lab.charts import Layout, Text
 
 __all__ = ["doubts", "hidden_texts"]
 
@@ -62,9 +64,14 @@ def _finer(quality, direction):
     return pairs.loc[finer & wide & clear & (pairs["reason"] != HIDDEN), "name"].tolist()
 
 
-def hidden_texts(tones, layout, chart_map):
-    """Names of the texts of which a part does not look like the print, though the others do."""
-    names = []
+def hidden_texts(tones: Tones, layout: Layout, chart_map: ChartMap) -> list[str]:
+    """Names of the texts of which a part does not look like the print, though the others do.
+
+    None, where the tones come without the print.
+    """
+    names: list[str] = []
+    if tones.printed is None:
+        return names
     for text in (one for one in layout.of_kind(Text) if one.name.startswith("text_")):
         places, seen = tones.near(chart_map, text.corners())
         _, printed = replace(tones, values=tones.printed).near(chart_map, text.corners())

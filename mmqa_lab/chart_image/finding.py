@@ -91,8 +91,8 @@ def locate(
     """
     if corners is not None:
         corners = four_corners(corners, columns=2)
-        known = {"camera": camera, "offset": offset, "source": "corners"}
-        return ChartMap.from_points(layout.corners(), corners, **known)
+        places = layout.corners()
+        return ChartMap.from_points(places, corners, camera=camera, offset=offset, source="corners")
     grey, known = _stretched(image), {"camera": camera, "offset": offset}
     chart_map, targets = _found(grey, layout, known)
     if chart_map is None:  # a fence may stand before it

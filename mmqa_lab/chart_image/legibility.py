@@ -158,7 +158,7 @@ def agreement(marks: pd.DataFrame) -> Agreement:
     return Agreement(verdict, kappa, float(verdict["unanimous"].mean()))
 
 
-def check_marks(marks):
+def check_marks(marks: pd.DataFrame) -> pd.DataFrame:
     """Return a jury's marks as a DataFrame, checked."""
     check_columns(marks, ("juror", "element", "mark"), "marks")
     for mark in marks["mark"].unique():

@@ -4,8 +4,9 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from mmqa_lab.chart_image.tones import WIDE_PX
-from mmqa_lab.charts import Bar
+from mmqa_lab.chart_image.maps import ChartMap
+from mmqa_lab.chart_image.tones import WIDE_PX, Tones
+from mmqa_lab.charts import Bar, Layout
 
 __all__ = ["pixel_sizes"]
 
@@ -22,7 +23,9 @@ END_REACH_PX, END_STEP_PX, END_OFF_PX = 6.0, 0.1, 2.0
 the outer one for black and white. How far from its place an end may be."""
 
 
-def pixel_sizes(tones, layout, chart_map, *, hidden=False):
+def pixel_sizes(
+    tones: Tones, layout: Layout, chart_map: ChartMap, *, hidden: bool = False
+) -> pd.DataFrame:
     """Measure the pixel size along every long bar that is seen.
 
     The length of a bar is that between its ends in the map. Every pixel row or column along the

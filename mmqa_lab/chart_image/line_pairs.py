@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_values
 from mmqa_lab._results import Shown, sentences
@@ -88,7 +89,7 @@ def read_pairs(tones: Tones, layout: Layout, chart_map: ChartMap) -> pd.DataFram
     return table
 
 
-def read_pattern(tones, pairs, chart_map):
+def read_pattern(tones: Tones, pairs: LinePairs, chart_map: ChartMap) -> PairReading:
     """Read one pattern of line pairs.
 
     Parameters
@@ -256,7 +257,9 @@ class Resolution(Shown):
     next_mm: float
 
 
-def expected_contrast(width_px, sigma_px, blur_px=0.0):
+def expected_contrast(
+    width_px: ArrayLike, sigma_px: float, blur_px: float = 0.0
+) -> float | np.ndarray:
     """Return the contrast that :func:`read_pattern` finds without noise, closed form.
 
     A square wave behind a Gaussian, a square pixel and a motion blur, averaged over the phases of

@@ -264,15 +264,16 @@ class Bend:
         Displacement in x and y, mm, for each power of x and of y, which run from -1 to 1.
     """
 
-    size: tuple
+    size: tuple[float, float]
     terms: np.ndarray
 
-    def at(self, xy):
+    def at(self, xy: ArrayLike) -> np.ndarray:
         """Displacement at places, mm, shape (n, 2); it ends a quarter beyond the chart."""
-        return polyval2d(*unit(xy, self.size), self.terms).T
+        x, y = unit(xy, self.size)
+        return polyval2d(x, y, self.terms).T
 
 
-def four_corners(corners, *, columns):
+def four_corners(corners: ArrayLike, *, columns: int) -> np.ndarray:
     """Four corners as an array, checked."""
     corners = check_points(corners, name="corners", columns=columns, minimum=4)
     refuse(len(corners) != 4, "corners", f"{len(corners)} given", "four")

@@ -4,13 +4,17 @@ Pixels are taken as they are, at the places on the chart where the map puts them
 resampled.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_image, refuse
-from mmqa_lab.charts import reflectance
+from mmqa_lab.chart_image.maps import ChartMap
+from mmqa_lab.charts import Layout, reflectance
 
 __all__ = ["WIDE_PX", "Tones", "find_tones"]
 
@@ -46,7 +50,7 @@ class Tones:
     odd: np.ndarray | None = None
     printed: np.ndarray | None = None
 
-    def near(self, chart_map, outline):
+    def near(self, chart_map: ChartMap, outline: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Return the places on the chart, mm, and values of the known pixels around an outline."""
         corners, size = chart_map.pixels(outline), np.array(self.values.shape[::-1])
         first = np.clip(np.floor(corners.min(axis=0)).astype(int), 0, size)
@@ -58,7 +62,7 @@ class Tones:
         return chart_map.chart(pixels[known]), values[known]
 
 
-def find_tones(image, layout, chart_map):
+def find_tones(image: ArrayLike, layout: Layout, chart_map: ChartMap) -> Tones:
     """Bring an image into units of print by the plain areas of the chart.
 
     White is what the plain white around a place shows: light falls off across a chart, and shadows

@@ -92,8 +92,8 @@ def read_camera(path: str | os.PathLike) -> tuple[np.ndarray, np.ndarray, tuple[
     if (matrix != usual).any() or not (np.diag(matrix) > 0).all() or matrix[2, 2] != 1:
         wanted = "fx, 0, cx; 0, fy, cy; 0, 0, 1"
         raise ValueError(f"Invalid camera {path}: matrix {matrix.tolist()}. Must be {wanted}.")
-    size = [known.get(side) for side in ("width", "height")]
-    if None in size:
+    size = [known[side] for side in ("width", "height") if known.get(side) is not None]
+    if len(size) < 2:
         return matrix, values[1], None
     with reading(path, "camera", "calibrated for a picture of whole pixels"):
         width, height = (check_count(float(side), "side") for side in size)

@@ -10,6 +10,7 @@ import tempfile
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,6 +27,9 @@ from mmqa_lab._checks import (
 from mmqa_lab.io.files import plain_text, reading, write_atomically
 from mmqa_lab.io.systems import named_system
 from mmqa_lab.io.tables import text_places
+
+if TYPE_CHECKING:
+    from pyproj import CRS
 
 __all__ = ["OUTLINE_ENDINGS", "read_outlines", "read_polygon", "write_outlines", "write_polygon"]
 
@@ -241,7 +245,7 @@ def _laid(plan, points, what):
 
 
 def write_outlines(
-    path: str | os.PathLike, outlines: Mapping[str, ArrayLike], *, crs: object = None
+    path: str | os.PathLike, outlines: Mapping[str, ArrayLike], *, crs: CRS | None = None
 ) -> None:
     """Write named outlines, each of shape (m, 3), as GeoJSON or GeoPackage.
 
@@ -279,9 +283,9 @@ def write_outlines(
         shapes = np.array([shapely.to_wkb(shapely.Polygon(ring)) for ring in rings.values()])
         names = [np.array([*map(str, rings)], dtype=object)]
         layout = {"geometry_type": "Polygon Z", "driver": "GPKG", "layer": "outlines"}
-        layout["crs"] = None if crs is None else crs.to_wkt()
+        wkt = None if crs is None else crs.to_wkt()
         write_atomically(
-            path, lambda file: pyogrio.raw.write(file, shapes, names, ["name"], **layout)
+            path, lambda file: pyogrio.raw.write(file, shapes, names, ["name"], crs=wkt, **layout)
         )
         return
     features = [
@@ -292,7 +296,7 @@ def write_outlines(
         }
         for name, ring in rings.items()
     ]
-    node = {"type": "FeatureCollection", "features": features}
+    node: dict[str, Any] = {"type": "FeatureCollection", "features": features}
     if crs is not None:
         node["crs"] = {"type": "name", "properties": {"name": crs.to_string()}}
     write_atomically(path, json.dumps(node))
