@@ -40,6 +40,8 @@ LONGEST_EDGE_M = 300.0
 # Points this share of a cell below a border lie on it.
 ON_BORDER = 1e-6
 
+LIKE_DEGREES = "Coordinates look like degrees, but are taken for metres."
+
 # Points below which nothing is said of a unit.
 FEWEST_FOR_UNIT = 50
 
@@ -168,6 +170,9 @@ def describe(cloud: Cloud) -> dict:
             units |= dict.fromkeys("z" if axis.direction == "up" else "xy", axis.unit_name)
     for name, values in cloud.columns.items():
         counts[name] = len(np.unique(values)) if values.ndim == 1 else values.shape[1]
+    doubts = unit_remarks(cloud, crs=cloud.crs)
+    if LIKE_DEGREES in doubts:  # in metres their digits would end a hundred metres apart
+        units |= dict.fromkeys("xy", "degree?")
     remarks = ["No coordinate system: taken for metres."] if cloud.crs is None else []
     try:
         check_points(cloud.points)
@@ -187,7 +192,7 @@ def describe(cloud: Cloud) -> dict:
         "resolution_mm": 1000 * cloud.resolution,
         "time_span_s": np.ptp(cloud["gps_time"]) if times else np.nan,
         "columns": ", ".join(f"{name} ({count})" for name, count in counts.items() if count > 1),
-        "remarks": " ".join([*remarks, *unit_remarks(cloud, crs=cloud.crs)]),
+        "remarks": " ".join([*remarks, *doubts]),
     }
 
 
@@ -255,7 +260,7 @@ def unit_remarks(
     wide = max(plan)
     crowded = len(points) > CROWDED * wide**2 and high > wide > 0
     if crowded and np.abs(few[:, :2]).max() <= 180:
-        return ["Coordinates look like degrees, but are taken for metres."]
+        return [LIKE_DEGREES]
     if lengths is not None:
         odd, told = np.median(lengths) > LONGEST_EDGE_M, "Edges are hundreds of metres long"
     elif (few == np.round(few)).all():

@@ -151,9 +151,10 @@ def check_plan(points, *, name="points", minimum=1):
     >>> check_plan([[1, 2, 3]]).tolist()
     [[1.0, 2.0]]
     """
-    if not hasattr(points, "iloc"):  # of a table x and y are taken by their names
-        points = real_array(points, name, kinds="fiub")
-        points = points[:, :2] if points.ndim == 2 and points.shape[1] == 3 else points
+    if hasattr(points, "iloc") and hasattr(points, "columns"):
+        points = _by_names(points, 2, name)
+    points = real_array(points, name, kinds="fiub")
+    points = points[:, :2] if points.ndim == 2 and points.shape[1] == 3 else points
     return check_points(points, name=name, columns=2, minimum=minimum)
 
 

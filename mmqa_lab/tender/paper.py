@@ -11,7 +11,10 @@ import pandas as pd
 from mmqa_lab._checks import check_choice
 from mmqa_lab.tender.tables import is_mark
 
-__all__ = ["published_criteria", "published_results"]
+__all__ = ["SETS", "published_criteria", "published_results"]
+
+SETS = ("test", "scenario 1", "scenario 2")
+"""Sets of criteria that the paper prints, of section 4.2 and of section 4.4."""
 
 RESULT_COLUMNS = [
     *("system", "distance_m", "view", "direction"),

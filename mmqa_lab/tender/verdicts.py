@@ -16,7 +16,7 @@ from mmqa_lab.tender.tables import (
     rank_of,
 )  # fmt: skip
 
-__all__ = ["qualification", "verdict", "verdicts"]
+__all__ = ["COVERAGE", "qualification", "verdict", "verdicts"]
 
 VERDICTS = ("met", "exempt", "not met", "undecided", "not certain", "not measured")
 
