@@ -143,7 +143,7 @@ def evaluate(
 
     frame = each_file(clouds, "cloud", measured)
     if out is not None and done:
-        say_shown(out, frame, "cloud")
+        say_shown(out, frame, "file")
         write_figure(out, lambda: done[-1].plot(detail=detail))
     return frame
 
