@@ -10,7 +10,8 @@ import pytest
 
 from mmqa_lab import commands, plots
 from mmqa_lab.run import Run, papers
-from mmqa_lab.studies import STUDIES, chosen
+from mmqa_lab.run.papers import make_paper
+from mmqa_lab.studies import STUDIES, chosen, notebooks_folder
 
 typst = pytest.importorskip("typst")
 
@@ -120,7 +121,7 @@ def typed_numbers(text):
 
     Left out are code, equations, comments, links, and numbers marked as constants by ``#stated``.
     """
-    text = re.sub(r"(?m)//.*$|https?://\S+|\$[^$]*\$|#stated\[[^\]]*\]", "", text)
+    text = re.sub(r"(?m)//.*$|https?://\S+|\$[^$]*\$|#stated\[[^\]]*\]|places: \([^)]*\)", "", text)
     text = re.sub(r"#(?:import|let|show|set)[^\n]*", "", text)
     while (plain := re.sub(r"#[\w.]+\([^()]*(?:\([^()]*\)[^()]*)*\)", "", text)) != text:
         text = plain
@@ -131,3 +132,13 @@ def typed_numbers(text):
 def test_typed_numbers_are_found():
     text = '#import "x": a4\nWe saw 12.5 mm, #mmqaMimicSpeedKmh km/h and #stated[95] %; $f = 2$.'
     assert typed_numbers(text) == ["12.5"]
+
+
+def test_no_number_of_the_paper_is_typed_and_it_compiles(tmp_path):
+    folder = notebooks_folder() / "paper"
+    assert typed_numbers((folder / "paper.typ").read_text(encoding="utf-8")) == []
+    shutil.copytree(folder, tmp_path / "paper")
+    made = make_paper(tmp_path / "paper", tmp_path / "no_results")
+    assert made.read_bytes().startswith(b"%PDF")
+    kept = sum(path.stat().st_size for path in (folder / "from_runs").rglob("*.*"))
+    assert kept < 1_000_000

@@ -28,7 +28,7 @@ def tender(criteria: str, results: str, /, *, details: bool = False):
         matter, distance_m, view (orthogonal, forward, backward), direction (h, v), rho0_per_m2 (of
         f: the density from which it does not matter). Or pfeifer2021:test, pfeifer2021:1,
         pfeifer2021:2: the test and both scenarios of Pfeifer et al. 2021 (doi
-        10.3390/rs13020237); or pfeifer2021:g, the test with g in place of f.
+        10.3390/rs13020237).
     results
         CSV file with system, quantity, value and, where known, sigma or low and high, distance_m,
         view, direction, remarks: a remark that names the figure makes it not certain. Or
@@ -38,7 +38,7 @@ def tender(criteria: str, results: str, /, *, details: bool = False):
     """
     from mmqa_lab import io, tender
 
-    sets = {"test": "test", "1": "scenario 1", "2": "scenario 2", "g": "test with g"}
+    sets = {"test": "test", "1": "scenario 1", "2": "scenario 2"}
     paper, _, name = criteria.partition(":")
     if paper == "pfeifer2021" and name in sets:
         wanted = tender.published_criteria(sets[name])

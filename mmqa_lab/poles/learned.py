@@ -30,9 +30,9 @@ LOW_M = 0.1
 
 APART_M = 0.6
 THRESHOLD, DOUBT, LENGTH_M = 0.22, 0.02, 1.0
-"""The threshold was chosen with the real street of study 06 in sight (F1 .84, .82 at a
-threshold of .28) and with streets full of things that look like poles (precision above .6).
-A score is an order, no probability. Tests, studies and benchmarks use other streets."""
+"""The threshold was chosen with the real street of study 06 in sight, where F1 is .82 (components
+.77, no difference shown), and with streets full of things that look like poles: on six others of
+their kind 62 % of the finds are right. A score is an order, no probability."""
 
 
 class Described(NamedTuple):

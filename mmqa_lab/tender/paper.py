@@ -27,9 +27,8 @@ def published_criteria(name: str, *, cloud_distance_m: float = 5.0) -> pd.DataFr
 
     Parameters
     ----------
-    name : {"test", "scenario 1", "scenario 2", "test with g"}
-        The test of section 4.2, an example of section 4.4, or the test with g < 2 in place of
-        f < 2, which the paper does not print.
+    name : {"test", "scenario 1", "scenario 2"}
+        The test of section 4.2, or an example of section 4.4.
     cloud_distance_m : float
         Where no distance is printed for a figure of the cloud: the 5 m of the other criteria.
 
