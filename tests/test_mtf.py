@@ -15,13 +15,13 @@ from mmqa_lab.mtf import fit_edge, haar_sharpness, measure_star, read_bars, reso
 from mmqa_lab.mtf.transfer import spread_edge
 from mmqa_lab.simulate.targets import (
     PointSpread,
-    _render,
     blur_over_image,
     render_bars,
     render_edge,
     render_star,
     texture,
 )
+from mmqa_lab.simulate.targets.resolution import _render
 
 
 @pytest.mark.parametrize("sigma", [0.5, 1.0, 2.0])

@@ -75,16 +75,14 @@ def own_frame(points):
     >>> origin.round(9).tolist(), np.abs(axes[:, 1]).round(3).tolist()
     ([3.0, 3.0, 4.99963], [0.707, 0.707, 0.0])
     """
-    off = points[:, :2] - points[0, :2]
-    first = points[0, :2] + off.mean(axis=0)
-    off -= off.mean(axis=0)
-    away = np.hypot(*off.T) % LEVEL_M
-    plan = off[away * max(len(points) // MOST_ASKED, 1) <= LEVEL_M] @ [1, 1j]
-    weight = np.ones(len(plan))
-    for _ in range(10):
-        centre = np.average(plan, weights=weight)
+    level = (points[:, 2] - np.median(points[:, 2])) % LEVEL_M
+    asked = level * max(len(points) // MOST_ASKED, 1) <= LEVEL_M
+    plan, first = (points[asked, :2] - points[0, :2]) @ [1, 1j], points[0, :2]
+    centre = np.median(plan.real) + 1j * np.median(plan.imag)
+    for _ in range(60):
         away = np.abs(plan - centre)
         weight = (1 + (away / (2 * np.median(away) + LOW_M)) ** 2) ** -2.0
+        centre = np.average(plan, weights=weight)
     off = plan - centre
     angle = np.angle((weight * off**2).sum()) / 2
     angle += np.pi * ((weight * (off * np.exp(-1j * angle)).real ** 3).sum() < 0)
@@ -113,9 +111,10 @@ def describe(points, frame=None):
     return Described(axes, *measure(thin, axes), height_of, above, thin.coarse)
 
 
-PART, MOST_ASKED, LEVEL_M, BELOW_M = 1_000_000, 50_000, 0.01, 0.00037
+PART, MOST_ASKED, LEVEL_M, BELOW_M = 1_000_000, 50_000, 0.0161803, 0.00037
 """Points that are handled at a time while the ground is sought; about so many give the frame, those
-just beyond each of many circles about the middle; from the lowest point down to the origin."""
+in the lowest part of each level, whose height is no multiple of a step that coordinates have; from
+the lowest point down to the origin."""
 
 
 @threadpool_limits.wrap(limits=1)  # products with a small matrix, which threads make slow
