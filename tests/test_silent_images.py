@@ -300,7 +300,8 @@ ROWS = {
         behind((1, 820.0, 17.6), "w_h_mm", 2.7), "hidden: pairs_h_20", 30
     ),
     "post over a row": Row(
-        behind((0, 500.0, 30.0), "w_h_mm"), "hidden: pairs_h_40, .*; pairs_h_15, pairs_h_10 have contrast", 40, 20
+        behind((0, 500.0, 30.0), "w_h_mm"),
+        "hidden: pairs_h_40, .*; pairs_h_15, pairs_h_10 have contrast", 40, 20,
     ),
     "post on a standing bar": Row(
         behind((0, 150.0, 30.0), "pixel_v_mm", 5.4, yaw=25), "has it: bar_left$", 1.0318, 1, 5e-3
