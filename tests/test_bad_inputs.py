@@ -201,7 +201,7 @@ FUNCTIONS = [
     (lambda: lines.components(EDGE, EDGE, rotate="longer"), "Must be one of test, shorter"),
     (lambda: lines.components(EDGE, EDGE, within="touch"), "one of containment, overlap"),
     (lambda: lines.peak_threshold([-0.1, 0.2]), "Invalid nearest distances"),
-    (lambda: lines.correspond([[1.0]], 1.0, matcher="fragments"), "of shape ()"),
+    (lambda: lines.correspond([[1.0]], 1.0, matcher="fragments"), "None among them"),
     (lambda: lines.pairing_scores([[True]], [[True, False]]), "Must be Boolean of shape (1, 2)"),
     (lambda: lines.lhd(EDGE, EDGE + 651_000), "one coordinate"),
     (lambda: lines.lhd(EDGE, EDGE, pairs=[[1]]), "Invalid pairs of type int64"),

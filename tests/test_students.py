@@ -38,7 +38,7 @@ def test_check_fails_until_the_name_is_worked_out():
         run(given)
     with pytest.raises(AssertionError, match="2: not right yet"):
         run(given.replace("areas = ...", "areas = [9, 18]"))
-    with pytest.raises(AssertionError, match="2: the check cannot be worked out with this: TypeE"):
+    with pytest.raises(AssertionError, match="2: cannot be checked: areas is of type int"):
         run(given.replace("areas = ...", "areas = 9"))
     run(given.replace("areas = ...", "areas = [9, 36]"))
 
