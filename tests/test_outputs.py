@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from mmqa_lab import boresight, io, maps, samples
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.commands import run
+from mmqa_lab.maps import campaign
 
 OTHERS = {
     "my_survey.xyz": b"0 0 0\n1 0 0\n",
@@ -222,7 +223,7 @@ with io.own_folder(sys.argv[1]), io.own_folder(sys.argv[2]):
 
 
 def test_two_runs_into_one_folder_are_refused_until_the_first_has_ended(full, capsys):
-    call = [sys.executable, "-c", HOLDING, full / "out", full / "m.run" / maps.OWN]
+    call = [sys.executable, "-c", HOLDING, full / "out", full / "m.run" / campaign.OWN]
     with subprocess.Popen(call, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
         other.stdout.readline()
         for line in [*(f"{line} out" for line in OF_FOLDERS), "map own.csv --out m.nc"]:

@@ -18,7 +18,7 @@ from pyproj import CRS
 
 from mmqa_lab import commands
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.io import write_cloud
+from mmqa_lab.io import write_atomically, write_cloud
 from mmqa_lab.run import Run, notebooks, pages, parameter_names, read_record, verdict
 from mmqa_lab.run.exercises import student_cell
 from mmqa_lab.samples import SAMPLES
@@ -282,7 +282,10 @@ def test_a_killed_run_leaves_whole_files_and_the_next_run_clears_the_rest(tmp_pa
             assert len(pd.read_csv(path)) > 0
         elif path.suffix in (".pdf", ".svg"):
             assert path.read_bytes().rstrip().endswith((b"%%EOF", b"</svg>"))
-    (study / ".frame.99.svg").write_text("half a file")
+    parts = []
+    write_atomically(study / "frame.svg", lambda part: parts.append(part) or part.touch())
+    parts[0].write_text("half a file")
+    (study / "frame.svg").unlink()
     monkeypatch.setenv("MMQA_RESULTS", str(tmp_path))
     Run("mimic", parameters={})
     assert not list(study.glob(".*"))
