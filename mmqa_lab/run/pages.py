@@ -242,6 +242,7 @@ def write_site(folder, notebooks, studies):
         page = STYLES.sub("", page).replace("</head>", looks)
         page = re.sub(r'href="(\d\d_\w+)\.ipynb', r'href="\1.html', page)
         page = re.sub(r'href="[^"]*/glossary\.csv', 'href="glossary.html', page)
+        page = re.sub(r"<a href=.results/[^>]*>(.*?)</a>", r"\1", page)  # a run's, not kept here
         write_atomically(folder / f"{study.notebook}.html", page)
     write_atomically(folder / "notebook.css", re.sub(r"</?style[^>]*>", "", styles))
     pictures = sorted(notebooks.glob("thumbnails/*.png"))
