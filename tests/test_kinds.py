@@ -23,6 +23,7 @@ import xarray as xr
 
 import mmqa_lab
 from mmqa_lab import charts, io, simulate
+from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.mtf.transfer import spread_edge
 from mmqa_lab.simulate.targets import PointSpread, render_star
@@ -230,6 +231,8 @@ CASES = dict(
         of("radiometry", "patch_statistics", "image", GREY, "",
            patches=[[0, 9, 0, 9], [20, 40, 20, 40]]),
         of("radiometry", "reflectance_factor", "values", exact([20, 30, 50]), "", irradiance=500.0),
+        of("metrics", "supports", "space", WALL, "order",
+           call=lambda f, one: f(evaluate_cloud(one))),
         of("repeatability", "evaluate_selections", "space", WALL, "order",
            polygons=[SQUARE, SQUARE + [0.02, 0, 0]]),
         of("repeatability", "operator_polygons", "space", SQUARE, "",

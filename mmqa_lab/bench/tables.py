@@ -94,6 +94,7 @@ def failures(results: xr.Dataset) -> pd.DataFrame:
 
     Examples
     --------
+    >>> import warnings
     >>> from mmqa_lab.bench import run
     >>> def upset(x):
     ...     raise ArithmeticError("no signal")
@@ -129,6 +130,8 @@ def remarked(table: pd.DataFrame, results: xr.Dataset) -> pd.DataFrame:
 
     Examples
     --------
+    >>> import warnings
+    >>> from mmqa_lab.bench import run
     >>> with warnings.catch_warnings(action="ignore"):
     ...     results = run([{"n": 3}], {"mine": str, "ours": int}, make=lambda n, seed: n)
     >>> remarked(pd.DataFrame({"method": ["ours"]}), results)["remarks"].tolist()

@@ -37,7 +37,7 @@ class Shots:
         wrong = (head < 0) | (head >= len(lever)) | (head % 1 != 0)
         if wrong.any():
             raise ValueError(
-                f"Invalid head {head[wrong][0]} of {name}. Must be 0 to {len(lever) - 1}: heads "
+                f"Invalid head {head[wrong][0]:g} of {name}. Must be 0 to {len(lever) - 1}: heads "
                 "count from 0, with one lever arm each."
             )
         check_columns(dict.fromkeys(cloud.columns), ("gps_time",), name)

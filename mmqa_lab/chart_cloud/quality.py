@@ -69,6 +69,7 @@ class CloudQuality(Shown):
 
     Examples
     --------
+    >>> from mmqa_lab.chart_cloud import evaluate_cloud
     >>> x, y = np.meshgrid(np.arange(20) * 0.02, np.arange(10) * 0.04)
     >>> quality = evaluate_cloud(np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1))
     >>> round(quality.d1_mm, 6), round(quality.d4_mm, 6), round(quality.f, 6)
@@ -190,6 +191,7 @@ class CloudQuality(Shown):
 
         Examples
         --------
+        >>> from mmqa_lab.chart_cloud import evaluate_cloud
         >>> x, y = np.meshgrid(np.arange(40) * 0.005, np.arange(9) * 0.06)
         >>> quality = evaluate_cloud(np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1))
         >>> share, missed = quality.details(0.05)  # lines 6 cm apart
@@ -235,6 +237,7 @@ class CloudQuality(Shown):
 
         Examples
         --------
+        >>> from mmqa_lab.chart_cloud import evaluate_cloud
         >>> points = np.random.default_rng(1).uniform(0, 1, (3000, 3)) * [2, 1, 0.01]
         >>> table = evaluate_cloud(points).intervals().set_index("figure")
         >>> table.index.tolist()

@@ -82,6 +82,7 @@ def read_trajectory(path: str | os.PathLike, *, crs: object = None) -> pd.DataFr
     Examples
     --------
     >>> import tempfile
+    >>> from pathlib import Path
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     _ = (Path(folder) / "path.csv").write_text("time,x,y,z,heading\\n0.5,0,0,2,90\\n")
     ...     path = read_trajectory(Path(folder) / "path.csv")

@@ -38,6 +38,7 @@ class Surface:
 
     Examples
     --------
+    >>> from mmqa_lab.simulate.surfaces import box
     >>> car = box((0, 0, 0), (1.8, 4.2, 1.5))
     >>> len(car), car.label, car.centre[:, 2].max().item()  # six faces
     (6, 'car', 1.5)
@@ -68,6 +69,7 @@ def group(surfaces: Sequence[Surface], *, label: str) -> Surface:
 
     Examples
     --------
+    >>> from mmqa_lab.simulate.surfaces import box, cylinder
     >>> mast = [cylinder((0, 0, 0), (0, 0, 5), 0.1), box((0, 0, 5), (0.3, 0.3, 0.2))]
     >>> lamp = group(mast, label="lamp")
     >>> len(lamp), lamp.label

@@ -22,8 +22,8 @@ def corners_of(text: str) -> np.ndarray:
 
     Examples
     --------
-    >>> corners_of("1.5, 2, 3; 4,5 6 7").tolist()
-    [[1.5, 2.0, 3.0], [4.5, 6.0, 7.0]]
+    >>> corners_of("1.5, 2, 3; 4,5 6 7; 0 0 1").tolist()
+    [[1.5, 2.0, 3.0], [4.5, 6.0, 7.0], [0.0, 0.0, 1.0]]
     """
     rows = [one.strip(" ,") for one in re.split(r"[;\n]", text) if one.strip(" ,")]
     cut = [re.split(r",?\s+", one) if re.search(r"\s", one) else one.split(",") for one in rows]

@@ -266,7 +266,10 @@ class SurfaceTool(SelectionTool):
 def _described(patch, points):
     """The figures of a plane in the list and in the table."""
     towards = np.median(points[:: 1 + len(points) // SHOWN], axis=0) - patch.plane.centre
-    normal = patch.plane.normal * (-1 if patch.plane.normal @ towards < 0 else 1)
+    side = patch.plane.normal @ towards
+    if abs(side) < 3 * patch.sigma:  # nothing on either side: a plane alone is seen from above
+        side = patch.plane.normal[2]
+    normal = patch.plane.normal * (-1 if side < 0 else 1)
     hull = shapely.convex_hull(shapely.multipoints(patch.plane.project(points[patch.index])))
     return {
         "kind": kind_of(normal),
@@ -292,7 +295,9 @@ def kind_of(normal: np.ndarray) -> str:
     turn = np.degrees(np.arctan2(normal[0], normal[1]))
     facing = POINTS_OF_COMPASS[round(turn / 45) % 8]
     return (
-        f"wall facing {facing}" if abs(normal[2]) < 1 - LEVEL_COSINE else f"slope facing {facing}"
+        f"wall facing {facing}"
+        if normal[2] ** 2 < 1 - LEVEL_COSINE**2
+        else f"slope facing {facing}"
     )
 
 

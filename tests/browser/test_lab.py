@@ -2,7 +2,6 @@
 
 import io
 import re
-import shutil
 
 import nbformat
 import numpy as np
@@ -10,9 +9,7 @@ from matplotlib.colors import to_rgb
 from PIL import Image
 from playwright.sync_api import expect
 
-from mmqa_lab.io import read_polygon
 from mmqa_lab.plots import COLOURS
-from mmqa_lab.studies import TOOLS
 
 RUN_MS = 400_000
 """Studies run with small parameters, but the machine may be busy."""
@@ -73,19 +70,6 @@ def test_dragging_a_vertex_changes_numbers_and_picture(ran, lab_folder):
     smaller = points_selected(line.inner_text())
     assert 0.5 * points_selected(text) < smaller < 0.98 * points_selected(text)
     assert outline_corner(canvas.screenshot()) != (x, y)
-
-
-def test_ones_own_cloud_from_file_to_report(ran, lab_folder):
-    shutil.copyfile(TOOLS[0].path, lab_folder / TOOLS[0].path.name)
-    page = ran(TOOLS[0].notebook)
-    expect(page.locator(".widget-upload")).to_be_visible(timeout=RUN_MS)
-    line = page.locator(".widget-html", has_text="points/m²").first
-    expect(line).to_be_visible(timeout=RUN_MS)
-    expect(page.get_by_text("report.html").last).to_be_visible(timeout=RUN_MS)
-    assert page.locator(".jp-OutputArea").get_by_text("Traceback").count() == 0
-    results = lab_folder.parent / "results" / TOOLS[0].stem
-    assert read_polygon(results / "selection.geojson").shape == (4, 3)
-    assert (results / "report.html").is_file()
 
 
 SCENE = """

@@ -91,6 +91,8 @@ def test_reports_and_selections_of_ones_own_cloud_have_folders_of_their_own(
     results = lab_folder.parent / "results" / TOOLS[0].stem
     button = page.get_by_role("button", name="Write the report of this selection")
     expect(button).to_be_visible(timeout=RUN_MS)
+    expect(page.locator(".widget-upload")).to_be_visible()
+    expect(page.locator(".widget-html", has_text="points/m²").first).to_be_visible()
     assert not [*results.glob("*/report.html")]  # nobody has asked for one
     for number in (1, 2):
         button.click()
