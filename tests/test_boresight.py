@@ -96,7 +96,7 @@ def test_bad_surveys_are_refused_or_said(survey):
         calibrate([(cloud[cloud["head"] == 0], path)], lever_arms_m=lever)
     with pytest.raises(ValueError, match=r"82\.2 m long\. Must be at most 10 m"):
         calibrate(survey.drives, lever_arms_m=[(-35, -70, 25)], **known)
-    with pytest.raises(ValueError, match="Invalid drives: .* stays open"):
+    with pytest.raises(ValueError, match=r"Invalid drives: .* stays open"):
         calibrate(survey.drives, lever_arms_m=lever, control=[(0.0, 0.0, 0.0)])
     one_way = calibrate(survey.drives[:1], lever_arms_m=lever, keep=("x_m", "y_m"), **known)
     said = " ".join(one_way.remarks)

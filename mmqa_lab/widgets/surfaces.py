@@ -294,11 +294,8 @@ def kind_of(normal: np.ndarray) -> str:
         return "floor" if normal[2] > 0 else "ceiling"
     turn = np.degrees(np.arctan2(normal[0], normal[1]))
     facing = POINTS_OF_COMPASS[round(turn / 45) % 8]
-    return (
-        f"wall facing {facing}"
-        if normal[2] ** 2 < 1 - LEVEL_COSINE**2
-        else f"slope facing {facing}"
-    )
+    upright = normal[2] ** 2 < 1 - LEVEL_COSINE**2
+    return f"wall facing {facing}" if upright else f"slope facing {facing}"
 
 
 def true_colours(cloud: Any) -> np.ndarray | None:
