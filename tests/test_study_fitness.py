@@ -2,14 +2,17 @@
 
 import warnings
 
+import nbformat
 import numpy as np
 import pandas as pd
 import pytest
 
-from mmqa_lab import bench
+from mmqa_lab import bench, commands, samples
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.metrics import METRICS, supports
+from mmqa_lab.metrics.supports import CURVES
 from mmqa_lab.studies import fitness as study
+from mmqa_lab.studies import notebooks_folder
 from mmqa_lab.studies.fitness import acquisitions as make_cases
 from mmqa_lab.studies.fitness import curves, real, tasks, transfer
 from mmqa_lab.studies.fitness.acquisitions import KINDS, PLACES
@@ -195,6 +198,26 @@ def test_what_a_surface_supports_grows_with_its_noise_and_is_silent_elsewhere():
     assert 30 < fine.loc["detail", "value"] < 120
     assert np.isnan(absurd.loc["step", "value"])
     assert "outside of what was tried" in absurd.loc["step", "remarks"]
+
+
+def test_what_a_surface_supports_comes_from_the_stored_run():
+    notebook = nbformat.read(notebooks_folder() / "12_fitness.ipynb", as_version=4)
+    cell = next(one for one in notebook.cells if one.id == "fit-supported")
+    if not cell.outputs:
+        pytest.skip("needs the outputs of a full run")
+    rows = [line.split() for line in cell.outputs[-1].data["text/plain"].splitlines()]
+    stored = pd.DataFrame([row[1:] for row in rows[1:]], columns=rows[0])
+    curve = pd.read_csv(CURVES)
+    assert stored["metric"].tolist() == curve["metric"].tolist()
+    for name in ("intercept", "slope", "low", "high", "n"):
+        assert stored[name].astype(float).to_numpy() == pytest.approx(curve[name], abs=1e-5)
+
+
+def test_the_shell_says_what_a_surface_supports():
+    table = commands.evaluate([samples.path("chart_b_5m")], supports=True).set_index("thing")
+    assert table.loc["step", "value"] > 0
+    assert "rosette" in table.loc["step", "kinds"]
+    assert table["remarks"].str.startswith("Fitted on simulated acquisitions").any()
 
 
 def test_density_goes_with_distance_and_turn_as_the_lattice_says():

@@ -7,6 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmqa_lab import published, tender
+from mmqa_lab.chart_cloud import evaluate_cloud
+from mmqa_lab.metrics import METRICS
+from mmqa_lab.metrics import table as metric_table
 from mmqa_lab.tender import tables
 
 CRITERIA = pd.DataFrame(
@@ -412,6 +415,21 @@ def test_the_rule_checks_what_it_is_given(given, must):
 def test_a_remark_names_a_figure_in_any_case():
     said = {"quantity": "density_per_m2", "remarks": "Density varies across the board."}
     assert tender.verdict(4000, ">=", 3000, **said) == "not certain"
+
+
+def test_metrics_of_the_registry_are_quantities_and_their_table_is_one_of_results():
+    assert {tables.SAME.get(name, name) for name in METRICS} <= set(tender.QUANTITIES)
+    points = np.random.default_rng(1).uniform(0, 1, (3000, 3)) * [1, 1, 0.01]
+    measured = metric_table(evaluate_cloud(points)).assign(cloud="mine")
+    value = measured.set_index("metric")["value"]
+    names = ["density", "noise_of_a_mean", "e95_of_3", "mme", "disc_q05", "mpv"]
+    rows = [(name, name, "<=", value[name] + 0.1) for name in names]
+    criteria = pd.DataFrame(rows, columns=tables.CRITERIA)
+    found = tender.verdicts(criteria, measured).set_index("criterion")["verdict"]
+    assert found.to_dict() == {"density": "undecided"} | dict.fromkeys(names[1:], "met")
+    measured["unit"] = "km"
+    with pytest.raises(ValueError, match="unit of"):
+        tender.verdicts(criteria, measured)
 
 
 def test_the_tables_of_the_paper_are_its_printed_ones():

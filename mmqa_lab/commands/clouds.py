@@ -72,6 +72,7 @@ def evaluate(
     intervals: bool = False,
     detail: float | None = None,
     metrics: str | None = None,
+    supports: bool = False,
     out: Path | None = None,
 ):
     """Evaluate the points on one planar surface: density, sigma_MAD, d1..d4, f, g and e95.
@@ -104,6 +105,9 @@ def evaluate(
     metrics
         Print a row for each of these metrics of the field, such as e95_of_3,noise_of_a_mean, for
         all of them (all), or for one of your own, a function of the chart (MODULE:FUNCTION).
+    supports
+        Print the smallest step, tilt, detail and volume that such a surface supports: each was kept
+        by 95 % of simulated drives of study 12, with ten kinds of scanners.
     out
         Draw the last cloud into this file: .pdf, .png or .svg.
     """
@@ -111,6 +115,7 @@ def evaluate(
 
     from mmqa_lab import chart_cloud, io
     from mmqa_lab.metrics import METRICS
+    from mmqa_lab.metrics import supports as supported_by
     from mmqa_lab.metrics import table as table_of
 
     check_ending(out, "figure", FIGURE_ENDINGS)
@@ -133,13 +138,18 @@ def evaluate(
         if chosen:
             own = {name: one for name, one in chosen.items() if METRICS.get(name) is not one}
             frame = table_of(quality, chosen, own=own)
+        if supports:
+            frame = supported_by(quality)
         if detail is not None:
             frame["details_seen"] = quality.details(detail)[0]
         done.append(quality)
         if name:
             frame.insert(0, "outline", name)
         said = " ".join(quality.remarks)
-        return frame.assign(remarks=[one or said for one in frame["remarks"]] if chosen else said)
+        own = frame.get("remarks", [said] * len(frame))
+        return frame.assign(
+            remarks=[one if said in one else f"{one} {said}".strip() for one in own]
+        )
 
     frame = each_file(clouds, "cloud", measured)
     if out is not None and done:

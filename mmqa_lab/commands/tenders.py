@@ -12,14 +12,14 @@ def tender(criteria: str, results: str, /, *, details: bool = False):
     """Compare systems' results with the criteria of a tender, in a sentence for each system.
 
     The command judges any figures; it advises none. Which figure goes with which task, study 12
-    says: the density with small details, e95 with gaps and the ends of surfaces, sigma_MAD with
-    steps and planes. Neither f nor g says what a cloud is fit for.
+    says: e95_of_3 with small things and gaps, noise_of_a_mean with heights, steps and planes.
+    Neither f nor g says what a cloud is fit for.
 
-    Quantities: density_per_m2, sigma_mad_mm, std_mm, d1_mm to d4_mm, e95_mm, f, g (of a cloud);
-    pixel_mm, w_mm, legibility, legibility_40mm, legibility_60mm (of a photograph); or your own, in
-    both files. Legibility has marks, better first: a each letter can be read, b the text can be
-    read, c it cannot. At least b is written >= b or <= b: both mean a or b. Which quantity tells
-    what depends on the task: a figure is asked for because of what shall be done with the data.
+    Quantities: each metric of evaluate --metrics all, density_per_m2, sigma_mad_mm, std_mm, d1_mm
+    to d4_mm, e95_mm (of a cloud); pixel_mm, w_mm, legibility, legibility_40mm, legibility_60mm (of
+    a photograph); or your own, in both files. Legibility has marks, better first: a each letter can
+    be read, b the text can be read, c it cannot. At least b is written >= b or <= b: both mean a or
+    b. A figure is asked for because of what shall be done with the data.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ from mmqa_lab.metrics.registry import METRICS
 __all__ = ["supports"]
 
 CURVES = Path(__file__).with_name("curves.csv")
-"""Fitted on simulated acquisitions by ``mmqa_lab.studies.fitness.curves.supported``."""
+"""Of the stored run of study 12: its table ``supported``, written when the run is stored."""
 
 
 def supports(quality: Any) -> pd.DataFrame:

@@ -20,6 +20,7 @@ from PIL import Image
 
 from mmqa_lab import plots
 from mmqa_lab.io import write_atomically
+from mmqa_lab.metrics.supports import CURVES
 from mmqa_lab.published.ledger import collect, summary
 from mmqa_lab.run.pages import ANSWERS, LEDGER, notebook_page, stored_answers
 from mmqa_lab.run.records import new_record, read_record, write_record
@@ -39,8 +40,9 @@ ENVIRONMENT = {
 # Widths of stored figures, which is 178 mm at 143 dpi, and of thumbnails.
 WIDTH_PX, THUMBNAIL_PX = 1000, 280
 
-# Figures of a chart against tasks, for the metric cards, in the folder of results.
-TASKS = "fitness/tasks_by_figures.csv"
+# Figures of a chart against tasks, for the metric cards, and the curves behind metrics.supports,
+# in the folder of results.
+TASKS, SUPPORTED = "fitness/tasks_by_figures.csv", "fitness/supported.csv"
 
 # The first figure of the README, in the folder of results.
 KEY_FIGURE = "fitness/six_clouds.png"
@@ -148,8 +150,9 @@ def store(notebooks, folder, studies):
     write_atomically(notebooks / ANSWERS, pd.DataFrame(rows, columns=["study", "short", "answer"]))
     times = pd.DataFrame(seconds.items(), columns=["study", "seconds"])
     write_atomically(notebooks / TIMES, times)
-    if (folder / TASKS).is_file():
-        write_atomically(notebooks / Path(TASKS).name, pd.read_csv(folder / TASKS))
+    for name, place in {TASKS: notebooks / Path(TASKS).name, SUPPORTED: CURVES}.items():
+        if (folder / name).is_file():
+            write_atomically(place, pd.read_csv(folder / name))
     if (folder / KEY_FIGURE).is_file():
         _store_figure(folder / KEY_FIGURE, notebooks / "key_figure.png", 1000)
         rows = collect(folder)

@@ -8,6 +8,7 @@ import pandas as pd
 
 from mmqa_lab._checks import check_choice, check_columns, check_known, check_number, refuse
 from mmqa_lab.chart_image import MARKS
+from mmqa_lab.metrics import METRICS
 
 __all__ = [
     "CRITERIA", "PLACE", "QUANTITIES", "RELATIONS", "check_quantities", "checked_criteria",
@@ -21,7 +22,7 @@ SPELT = {"≥": ">=", "≤": "<=", "=>": ">=", "=<": "<=", "≧": ">=", "≦": "
 
 QUANTITY_UNITS = {
     "_mm": {"mm": 1.0, "cm": 10.0, "m": 1000.0},
-    "_per_m2": dict.fromkeys(("1/m2", "1/m²", "/m2", "/m²", "m-2", "per m2"), 1.0),
+    "_per_m2": dict.fromkeys(("1/m2", "1/m²", "points/m2", "/m2", "/m²", "m-2", "per m2"), 1.0),
     "": dict.fromkeys(("1", "-", "mark"), 1.0),
 }
 """What quantities that end so may be given in, and its multiple of their own unit."""
@@ -31,6 +32,10 @@ GROUPED = r"[+-]?[1-9]\d{0,2}[.,]\d{3}"
 
 SPACINGS_MM = (0.5, 1e5)
 """What spacings can be; a value below it is one in metres."""
+
+SAME = {"density": "density_per_m2", "sigma_mad": "sigma_mad_mm", "e95": "e95_mm"}
+SAME |= {f"d{k}": f"d{k}_mm" for k in (1, 2, 3, 4)}
+"""Names of metrics, and the quantities that they are."""
 
 QUANTITIES = {
     "density_per_m2": (0.05, 1e7, "density"),
@@ -45,7 +50,16 @@ QUANTITIES = {
     **{f"legibility{size}": (0, 2, "legibility") for size in ("", "_40mm", "_60mm")},
 }
 """Quantities: the least and the largest value above zero that can be, and the words by which a
-remark names the figure."""
+remark names the figure. The metrics of :data:`mmqa_lab.metrics.METRICS` are among them."""
+
+DOUBTS = {"noise_of_a_mean": "|sigma_MAD|density", "anps": "|density"}
+DOUBTS |= dict.fromkeys(("e50", "e99", "e95_of_3", "fill_distance"), "|e95")
+"""More words by which a remark names a metric."""
+
+for name, one in METRICS.items():
+    if name not in {*SAME, *QUANTITIES}:
+        ends = (0.05, 1e5) if one.unit == "mm" and name != "ripley" else (-1e300, 1e300)
+        QUANTITIES[name] = (*ends, name + DOUBTS.get(name, ""))
 
 CRITERIA = ("criterion", "quantity", "relation", "threshold")
 
@@ -56,7 +70,7 @@ PLACE = ["distance_m", "view", "direction"]
 OPTIONAL = (*PLACE, "sigma", "low", "high", "remarks", "rho0_per_m2")
 """Columns that criteria or results may have."""
 
-NOTES = ("set", "n", "source", "note")
+NOTES = ("set", "n", "source", "note", "better")
 """Columns that say more and decide nothing."""
 
 WORDS = {"view": ("orthogonal", "forward", "backward"), "direction": ("h", "v")}
@@ -88,7 +102,8 @@ def check_quantities(criteria, results):
 
 def checked_results(results):
     """Results checked and with every column."""
-    results = results.rename(columns={"remark": "remarks"})
+    spelt = {"remark": "remarks", "metric": "quantity", "cloud": "system"}
+    results = results.rename(columns={a: b for a, b in spelt.items() if b not in results})
     results = _whole(results, RESULTS, ("distance_m", "sigma", "low", "high"), "results")
     for sigma in results["sigma"].dropna():
         check_number(sigma, "sigma", low=0)
@@ -135,6 +150,7 @@ def _whole(frame, needed, numbers, what):
         refuse(bad.any(), f"{name} in {what}", where, "a number")
     frame[needed[-1]] = frame[needed[-1]].map(_lowered)
     _check_grouped(frame[needed[-1]], f"{needed[-1]} in {what}")
+    frame["quantity"] = frame["quantity"].replace(SAME)
     return _in_own_units(frame, [*needed[-1:], *({*numbers} & {"sigma", "low", "high"})], what)
 
 
@@ -143,7 +159,10 @@ def _in_own_units(frame, figures, what):
     for row, (quantity, unit) in frame.loc[frame["unit"] != "", ["quantity", "unit"]].iterrows():
         if quantity not in QUANTITIES:
             continue
-        known = next(units for ending, units in QUANTITY_UNITS.items() if quantity.endswith(ending))
+        own = METRICS[quantity].unit if quantity in METRICS else ""
+        full = f"{quantity}_{own}" if own else quantity
+        units = next(units for ending, units in QUANTITY_UNITS.items() if full.endswith(ending))
+        known = units | ({own.lower(): 1.0} if own else {})
         where = f"unit of {quantity} in row {row + 1} of {what}"
         factor = known[check_choice(unit.lower(), where, tuple(known))]
         if factor != 1:
