@@ -16,7 +16,8 @@ SCALES = ((1, 4), (2, 5), (4, 7), (1, 0))
 SCATTER_M, WIDEST = (0.25, 0.06), 4
 """Scatter about the axis on the widest and on all other scales, m; core of the widest, cells."""
 
-TILE, MARGIN = 600, 10
+TILE, MARGIN = 200, 12
+"""Cells along the side of a tile, few enough for a processor's cache, and what counts beside it."""
 
 
 def candidates(thin):
@@ -31,11 +32,11 @@ def candidates(thin):
     tiles = np.unique((rows[:, :2] - low) // TILE, axis=0)
     found = []
     for corner in low + tiles * TILE - MARGIN:
-        place = rows[:, :2] - corner
-        inside = ((place >= 0) & (place < TILE + 2 * MARGIN)).all(axis=1)
+        ends = np.searchsorted(rows[:, 0], corner[0] + [0, TILE + 2 * MARGIN])
+        place = rows[slice(*ends)] - [*corner, 0]
+        x, y, level = place[(place[:, 1] >= 0) & (place[:, 1] < TILE + 2 * MARGIN)].T
         bits = np.zeros((TILE + 2 * MARGIN,) * 2, np.uint64)
-        level = np.uint64(1) << rows[inside, 2].astype(np.uint64)
-        np.add.at(bits, tuple(place[inside].T), level)  # each bit is unique: sum = union
+        np.add.at(bits, (x, y), np.uint64(1) << level.astype(np.uint64))  # unique: sum = union
         found.append(_tops(bits) + [*corner, 0])
     found = np.unique(np.concatenate(found), axis=0)
     return (found[:, :2] + 0.5) * GRID_M, np.where(found[:, 2], *SCATTER_M)
@@ -43,10 +44,12 @@ def candidates(thin):
 
 def _spread(bits, half, axis):
     """Union over the cells up to ``half`` away along an axis."""
-    out = bits.copy()
-    for k in range(1, half + 1):
-        out |= np.roll(bits, k, axis) | np.roll(bits, -k, axis)
-    return out
+    out, width, wanted = np.moveaxis(bits.copy(), axis, 0), 1, 2 * half + 1
+    while width < wanted:  # windows of twice the width, then of the one that is asked for
+        step = min(width, wanted - width)
+        out[:-step] |= out[step:]
+        width += step
+    return np.roll(np.moveaxis(out, 0, axis), half, axis)
 
 
 def _tops(bits):

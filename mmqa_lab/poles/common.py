@@ -9,6 +9,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from mmqa_lab._compiled import njit
 from mmqa_lab.cloud import group_axes, sort_into_cells
 
 __all__ = ["drop_duplicates", "first_reason", "ground", "joined", "lowest", "pairs", "table"]
@@ -125,12 +126,24 @@ def pairs(xy, points, reach):
     key = key[order]
     rows = cell[:, 1, None] * wide + cell[:, :1] + wide * np.array([-1, 0, 1])
     first, last = (np.searchsorted(key, (rows + end).ravel()) for end in (-1, 2))
-    count = last - first
-    a = np.repeat(np.arange(len(count)), count)
-    b = order[np.arange(len(a)) + np.repeat(first - np.cumsum(count) + count, count)]
-    a //= 3
-    near = ((points[b, :2] - xy[a]) ** 2).sum(axis=1) < reach**2
-    return a[near], b[near]
+    places = points[:, :2][order], xy, first, last, reach**2
+    a, b = np.empty((2, _near(*places, *np.empty((2, 0), np.int64))), np.int64)
+    _near(*places, a, b)
+    return a, order[b]
+
+
+@njit(cache=True)
+def _near(points, xy, first, last, square, a, b):
+    """Number of near pairs among three rows of sorted points for each place, which are kept."""
+    n = 0
+    for row in range(len(first)):
+        x, y = xy[row // 3]
+        for k in range(first[row], last[row]):
+            if (points[k, 0] - x) ** 2 + (points[k, 1] - y) ** 2 < square:
+                if len(a):
+                    a[n], b[n] = row // 3, k
+                n += 1
+    return n
 
 
 def table(rows, method, *, explain=False):

@@ -38,7 +38,7 @@ their kind 62 % of the finds are right. A score is an order, no probability."""
 class Described(NamedTuple):
     """Candidates of a cloud: ``axes`` (k, 5), ``measures``, ``shaft``, ``ground`` (a function).
 
-    ``above`` has the points up to 16 m above the ground, ``coarse`` the centres of their cells.
+    ``above`` has the points up to 16 m above the ground.
     """
 
     axes: np.ndarray
@@ -46,7 +46,6 @@ class Described(NamedTuple):
     shaft: dict
     ground: Callable
     above: np.ndarray
-    coarse: np.ndarray
 
     @property
     def middle(self):
@@ -108,7 +107,7 @@ def describe(points, frame=None):
     above = np.concatenate([over_ground(part) for part in parts()])
     thin = thinned(above, height_of)
     axes = fit_axes(thin, *candidates(thin)) if len(above) else np.empty((0, 5))
-    return Described(axes, *measure(thin, axes), height_of, above, thin.coarse)
+    return Described(axes, *measure(thin, axes), height_of, above)
 
 
 PART, MOST_ASKED, LEVEL_M, BELOW_M = 1_000_000, 50_000, 0.0161803, 0.00037
@@ -146,9 +145,9 @@ def detect(points, *, threshold=THRESHOLD, trees=None, explain=False):
     axes, height_of = found.axes, found.ground
     score = trees.score(found.measures)
     doubtful = score > DOUBT
-    near = around(found.above, axes[doubtful])
+    near, before = around(found.above, axes[doubtful]), found.measures[doubtful]
     for place in PLACES[1:]:
-        again = measure(thinned(near, height_of, place), axes[doubtful], found.coarse)[0]
+        again = measure(thinned(near, height_of, place), axes[doubtful], before)[0]
         score[doubtful] += trees.score(again)
     score[doubtful] /= len(PLACES)
     low, high = found.shaft["low"], found.shaft["high"]

@@ -18,7 +18,7 @@ SHELL_M, CLEAN = 0.25, 0.15
 NARROW = 0.5
 """The core is the narrowest with this share of the longest clean run: boards stay outside."""
 
-REACH_M, WIDE_M, ARCS = 1.0, 4.0, 24
+REACH_M, WIDE_M, ARCS, BANDS_M = 1.0, 4.0, 24, (1.0, 2.5, 5.0)
 
 MEASURES = {
     "run_m": ("longest stretch with points in the core and hardly any around it", 1),
@@ -88,8 +88,10 @@ class Near(NamedTuple):
         return Near(*(part[which] for part in self[:4]), self.k)
 
 
-def measure(thin, axes, coarse=None):
+def measure(thin, axes, before=None):
     """Return the ``MEASURES`` of axes (k, 5) as a DataFrame, and the extent of each shaft.
+
+    What stands around is taken from those ``before`` of the same axes, where they are given.
 
     Returns
     -------
@@ -112,7 +114,8 @@ def measure(thin, axes, coarse=None):
     np.maximum.at(top, near.axis, near.height)
     rounds["slim"] = np.minimum(top / (rounds["wide_m"] + 0.02), 100)
     rounds["top_m"] = BIN_M * np.floor(top / BIN_M)
-    found = runs | around_run | rounds | _wide(thin.coarse if coarse is None else coarse, axes)
+    found = runs | around_run | rounds
+    found |= _wide(thin.coarse, axes) if before is None else dict(before.filter(like="around_"))
     shaft = {"low": low, "high": high, "centre": centre}
     return pd.DataFrame(found)[list(MEASURES)].round(4), shaft
 
@@ -173,13 +176,12 @@ def _shape(own, run, rise):
 def _wide(coarse, axes):
     """Measures of what stands 1 to 4 m away: shares of directions in four bands of height."""
     a, b = pairs(axes[:, :2], coarse, WIDE_M)
-    off, z = coarse[b, :2] - axes[a, :2], coarse[b, 2]
-    bands = {"low": (0, 1), "mid": (1, 2.5), "high": (2.5, 5), "top": (5, 99)}
-    found = {}
-    for name, (least, most) in bands.items():
-        which = (np.hypot(*off.T) > 1.0) & (z >= least) & (z < most)
-        found[f"around_{name}"] = _arcs(a[which], off[which], len(axes))
-    return found
+    off = coarse[b, :2] - axes[a, :2]
+    away = np.hypot(*off.T) > 1.0
+    band = np.searchsorted(BANDS_M, coarse[b[away], 2], side="right")
+    shares = _arcs(a[away] * (len(BANDS_M) + 1) + band, off[away], len(axes) * (len(BANDS_M) + 1))
+    names = [f"around_{name}" for name in ("low", "mid", "high", "top")]
+    return dict(zip(names, shares.reshape(len(axes), -1).T, strict=True))
 
 
 def _head(a, across, height, k):
@@ -197,7 +199,9 @@ def _head(a, across, height, k):
 def _arcs(a, off, k):
     """Share of the directions in which each of k candidates has points."""
     arc = ((np.arctan2(off[:, 1], off[:, 0]) / (2 * np.pi) % 1) * ARCS).astype(np.int64) % ARCS
-    return np.bincount(np.unique(a * ARCS + arc) // ARCS, minlength=k) / ARCS
+    seen = np.zeros((k, ARCS), bool)
+    seen[a, arc] = True
+    return seen.sum(axis=1) / ARCS
 
 
 def _scatter(a, off, k):

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
+from mmqa_lab._compiled import njit
 from mmqa_lab.poles.measures import MEASURES
 
 __all__ = ["Trees", "grow", "read", "shipped", "write"]
@@ -31,19 +32,8 @@ class Trees(NamedTuple):
         A candidate passes from node to node of a tree. Each change of the value counts for the
         measure that the node tests.
         """
-        x = np.asarray(measures, float)
-        rows, parts = np.arange(len(x)), np.zeros(x.shape)
         roots = np.setdiff1d(np.arange(len(self.left)), [self.left, self.right])
-        for root in roots:
-            node = np.full(len(x), root)
-            for _ in range(DEPTH):
-                asked = self.feature[node]
-                inner = self.left[node] >= 0
-                less = x[rows, asked] <= self.limit[node]
-                new = np.where(inner, np.where(less, self.left[node], self.right[node]), node)
-                parts[rows, asked] += self.value[new] - self.value[node]
-                node = new
-        return parts, self.value[roots].sum()
+        return _passed(np.asarray(measures, float), roots, *self), self.value[roots].sum()
 
     def log_odds(self, measures):
         """Return the log odds (k,) that each candidate is a pole."""
@@ -53,6 +43,20 @@ class Trees(NamedTuple):
     def score(self, measures):
         """Return the score (k,) of each candidate, from 0 to 1."""
         return 1 / (1 + np.exp(-self.log_odds(measures)))
+
+
+@njit(cache=True)
+def _passed(x, roots, feature, limit, left, right, value):
+    """What the tests of each measure add to candidates (k, measures) that pass all trees."""
+    parts = np.zeros(x.shape)
+    for row in range(len(x)):
+        for node in roots:
+            while left[node] >= 0:
+                asked = feature[node]
+                new = left[node] if x[row, asked] <= limit[node] else right[node]
+                parts[row, asked] += value[new] - value[node]
+                node = new
+    return parts
 
 
 DEPTH = 6
