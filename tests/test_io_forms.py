@@ -114,3 +114,17 @@ def test_what_is_not_read_is_named(tmp_path, name, content, part):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(ValueError, match=part):
         io.read_cloud(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["GPSTime", "gps time", "scalar_Gps_Time", "gps_time"])
+def test_columns_of_las_are_known_under_other_names(tmp_path, name):
+    (tmp_path / "c.csv").write_text(f"x,y,z,{name}\n0,0,0,5\n1,0,0,6\n")
+    assert io.read_cloud(tmp_path / "c.csv", columns=["gps_time"])["gps_time"].tolist() == [5, 6]
+
+
+def test_reference_points_that_are_given_twice_count_once(tmp_path):
+    rows = [f"{x},{y},{x + y}" for x in range(3) for y in range(2)]
+    (tmp_path / "r.csv").write_text("\n".join(["x,y,z", *rows, *rows[1:4]]))
+    with pytest.warns(UserWarning, match="Dropped 3 points of .* that are given twice"):
+        found = io.read_heights(tmp_path / "r.csv")
+    assert found.tolist() == [[x, y, x + y] for x in range(3) for y in range(2)]

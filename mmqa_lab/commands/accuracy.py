@@ -37,7 +37,7 @@ def accuracy(
     cloud
         Cloud files: LAS, LAZ, COPC, PLY or text.
     reference
-        Surveyed heights: points (CSV, LAS) or a raster (GeoTIFF).
+        Surveyed heights: points (CSV, LAS) or a raster (GeoTIFF, ESRI grid, NetCDF).
     targets
         CSV file with x, y, z of each target's foot, its kind (pole, building or curb) and, where
         known, its diameter.

@@ -3,10 +3,8 @@
 import warnings
 from pathlib import Path
 
-from mmqa_lab.commands.machine import (
-    check_ending,
-    table,
-)
+from mmqa_lab._checks import needs
+from mmqa_lab.commands.machine import check_ending, table
 from mmqa_lab.commands.metrics import metrics_of
 
 __all__ = ["map_"]
@@ -33,6 +31,8 @@ def map_(clouds: list[Path], /, *, out: Path, cell: float = 0.5, metrics: str | 
     from mmqa_lab import maps
 
     check_ending(out, "map", maps.ENDINGS)
+    if out.suffix.lower() == ".tif":
+        needs("files", "rasterio")
     chosen = metrics_of(metrics)
     with warnings.catch_warnings(action="ignore"):  # the map has them as remarks
         folder = maps.map_campaign(clouds, out.with_suffix(".run"), cell=cell, metrics=chosen)

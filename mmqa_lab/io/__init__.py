@@ -17,13 +17,14 @@ from mmqa_lab.io.outlines import (
     write_outlines,
     write_polygon,
 )
-from mmqa_lab.io.rasters import read_heights
+from mmqa_lab.io.rasters import is_raster, read_heights, write_raster
 from mmqa_lab.io.tables import coordinate_columns, read_segments, read_table, with_numbers
 from mmqa_lab.io.trajectories import read_trajectory
 
 __all__ = [
     "CLOUD_ENDINGS", "IMAGE_ENDINGS", "LAS_ENDINGS", "OUTLINE_ENDINGS", "coordinate_columns",
-    "iterate_cloud", "own_folder", "read_bands", "read_camera", "read_cloud", "read_heights",
-    "read_image", "read_outlines", "read_polygon", "read_segments", "read_table", "read_trajectory",
-    "with_numbers", "write_atomically", "write_cloud", "write_outlines", "write_polygon",
+    "is_raster", "iterate_cloud", "own_folder", "read_bands", "read_camera", "read_cloud",
+    "read_heights", "read_image", "read_outlines", "read_polygon", "read_segments", "read_table",
+    "read_trajectory", "with_numbers", "write_atomically", "write_cloud", "write_outlines",
+    "write_polygon", "write_raster",
 ]  # fmt: skip

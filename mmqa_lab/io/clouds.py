@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import warnings
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -14,7 +15,7 @@ from mmqa_lab._checks import check_choice, check_columns, check_file
 from mmqa_lab.cloud import Cloud, unit_remarks
 from mmqa_lab.io.e57 import e57_pieces
 from mmqa_lab.io.las import LAS_ENDINGS, las_pieces
-from mmqa_lab.io.marks import Piece, marked
+from mmqa_lab.io.marks import FLAGS, Piece, marked
 from mmqa_lab.io.pcd import read_pcd
 from mmqa_lab.io.ply import read_ply
 from mmqa_lab.io.ptx import ptx_pieces
@@ -22,6 +23,9 @@ from mmqa_lab.io.signatures import form_of, refuse_unread
 from mmqa_lab.io.tables import text_places
 
 __all__ = ["CLOUD_ENDINGS", "iterate_cloud", "read_cloud"]
+
+# Columns that other functions ask for, by their letters alone, as programs name them.
+KNOWN_COLUMNS = {name.replace("_", ""): name for name in ("gps_time", "scan_line", *FLAGS)}
 
 TEXT_ENDINGS = (".txt", ".csv", ".xyz", ".pts", ".asc")
 CLOUD_ENDINGS = (*LAS_ENDINGS, ".e57", ".pcd", ".ply", ".ptx", *TEXT_ENDINGS)
@@ -51,7 +55,8 @@ def read_cloud(path: str | os.PathLike, *, columns: Sequence[str] | None = None)
     Returns
     -------
     Cloud
-        Points in float64. Columns are kept as read, but for ``scan_angle``, which is in degrees.
+        Points in float64. Columns are kept as read, but for ``scan_angle``, which is in degrees,
+        and names such as GPSTime, which are those of LAS.
         Its ``resolution`` is the scale of a LAS header, or the step of single precision at the
         largest coordinate of PLY; NaN else. Its ``crs`` is what a LAS header names.
 
@@ -111,6 +116,7 @@ def iterate_cloud(
         pieces = [Piece(*read)]
     read, dropped, counted = 0, Counter(), Counter()
     for piece in pieces:
+        piece = piece._replace(columns=_known(piece.columns))
         left, said = marked(piece)
         out = np.any([np.zeros(len(piece.points), bool), *left.values()], axis=0)
         dropped.update({reason: int(mask.sum()) for reason, mask in left.items()})
@@ -128,3 +134,11 @@ def iterate_cloud(
     told = [("Dropped", *row) for row in dropped.items()]
     for verb, reason, count in [*told, *(("Counted", *row) for row in counted.items())]:
         warnings.warn(f"{verb} {count} of {read} points of {path} that {reason}.", stacklevel=3)
+
+
+def _known(columns):
+    """Columns under the names that other functions ask for, as GPSTime or scalar_Gps_Time."""
+    plain = {name: re.sub(r"^scalar_|[\W_]", "", name.lower()) for name in columns}
+    names = {name: KNOWN_COLUMNS.get(letters, name) for name, letters in plain.items()}
+    names = {name: name if new in columns else new for name, new in names.items()}
+    return {names[name]: values for name, values in columns.items()}

@@ -1,4 +1,4 @@
-"""Photographs and rasters: grey values, bands, and heights of cells."""
+"""Photographs: grey values and bands."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ DNG_ENDINGS = (".dng",)
 IMAGE_ENDINGS = (*TIFF_ENDINGS, *DNG_ENDINGS, ".jpg", ".jpeg", ".png")
 IMAGES = "a complete JPEG, PNG or TIFF file of 8 or 16 bits"
 
-# Kinds of pages and of grey values in TIFF 6.0, and how each orientation is turned upright.
-MASK, WHITE_IS_ZERO, PALETTE, ORIENTATION = 4, 0, 3, 274
+# Kinds of grey values in TIFF 6.0, and how each orientation is turned upright.
+WHITE_IS_ZERO, PALETTE, ORIENTATION = 0, 3, 274
 ORIENTATIONS = {2: (0, 1), 3: (2, 0), 4: (2, 1), 5: (3, 1), 6: (3, 0), 7: (1, 1), 8: (1, 0)}
 
 # Values of a picture of 300 megapixels in colour: more are not decoded.
@@ -111,9 +111,9 @@ def read_bands(path: str | os.PathLike) -> np.ndarray:
     if path.suffix.lower() not in (*TIFF_ENDINGS, *DNG_ENDINGS):
         pixels = np.atleast_3d(_decoded(path, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH))
         return np.moveaxis(pixels[..., ::-1], 2, 0)  # OpenCV begins with blue
-    with open_tiff(path, "image", IMAGES) as file:
-        page = first_page(path, file)
-        pixels, decoded = tiff_pixels(path, page, IMAGES)
+    with _open_tiff(path) as file:
+        page = _first_page(path, file)
+        pixels, decoded = _tiff_pixels(path, page)
         kind, turn = page.photometric, page.tags.valueof(ORIENTATION, default=1)
         colours = page.colormap if kind == PALETTE else None
     inverted = kind == WHITE_IS_ZERO and not (decoded and pixels.dtype == np.uint8)
@@ -126,18 +126,18 @@ def read_bands(path: str | os.PathLike) -> np.ndarray:
     return np.moveaxis(pixels[:, ::-1] if mirrored else pixels, 2, 0)
 
 
-def open_tiff(path, name, wanted):
+def _open_tiff(path):
     """An open TIFF file."""
     import tifffile
 
     logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # a sentence says what is wrong
-    with reading(path, name, wanted):
+    with reading(path, "image", IMAGES):
         file = tifffile.TiffFile(path)
         file.pages.first  # noqa: B018 - or an error, where there is no page
         return file
 
 
-def first_page(path, file):
+def _first_page(path, file):
     """The first whole picture of a TIFF file; that there are others of its size is said."""
     with reading(path, "image", IMAGES):
         tops = list(file.pages[:LISTED_PAGES])
@@ -160,7 +160,7 @@ def _check_pixels(path, shape):
     refuse(wrong, f"image {path}", found, f"at most {MOST_VALUES:.1g} values")
 
 
-def tiff_pixels(path, page, wanted):
+def _tiff_pixels(path, page):
     """The pixels of a TIFF page, bands last, and whether OpenCV decoded and turned them."""
     import cv2
 
@@ -170,7 +170,7 @@ def tiff_pixels(path, page, wanted):
     except Exception as error:  # LZW and JPEG need another library; OpenCV has them for 4 bands
         if "imagecodecs" not in str(error):
             found = "damaged or cut short"
-            raise ValueError(f"Invalid image {path}: {found}. Must be {wanted}.") from error
+            raise ValueError(f"Invalid image {path}: {found}. Must be {IMAGES}.") from error
     pixels = np.atleast_3d(_decoded(path, cv2.IMREAD_UNCHANGED))
     order = [2, 1, 0, 3][: pixels.shape[2]] if pixels.shape[2] > 2 else [0]
     return pixels[..., order], True

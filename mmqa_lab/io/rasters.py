@@ -1,27 +1,51 @@
-"""Reference heights: rasters, and lists of points."""
+"""Rasters: reference heights of cells, as GDAL reads them, and bands with names that it writes."""
 
 from __future__ import annotations
 
+import contextlib
+import logging
 import os
 import re
 import warnings
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_file, check_same_crs, refuse
+from mmqa_lab._checks import check_file, check_same_crs, needs, refuse
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.io import systems
 from mmqa_lab.io.clouds import read_cloud
-from mmqa_lab.io.images import MASK, TIFF_ENDINGS, first_page, open_tiff, tiff_pixels
+from mmqa_lab.io.files import reading, write_atomically
+from mmqa_lab.io.images import MOST_VALUES, TIFF_ENDINGS
+from mmqa_lab.io.systems import named_system
 from mmqa_lab.io.tables import NO_HEIGHT_M
 
-__all__ = ["read_heights"]
+__all__ = ["is_raster", "open_raster", "read_heights", "write_raster"]
 
-RASTERS = "a GeoTIFF of one band with north upwards and an EPSG number"
+RASTERS = "a raster of one band, as GeoTIFF, ESRI grid or NetCDF, with its place"
+
+# The parts of GDAL that may read a file, by how it begins.
+DRIVERS = {"GTiff": rb"II[*+]\0|MM\0[*+]", "AAIGrid": rb"\s*ncols\s+\d"}
+DRIVERS |= {"netCDF": rb"CDF[\1\2\5]|\x89HDF"}
 
 # Cells narrower than this are in degrees.
 NARROWEST_CELL_M = 0.001
+
+METRES = ("", "m", "metre", "meter", "metres", "meters")
+
+
+def is_raster(path: str | os.PathLike) -> bool:
+    """Whether a file begins or ends as rasters do."""
+    return _driver(path) != "" or Path(path).suffix.lower() in TIFF_ENDINGS
+
+
+def _driver(path):
+    """The part of GDAL that reads a file which begins so; "" for none."""
+    with Path(path).open("rb") as file:
+        head = file.read(64).lower()
+    return next((name for name, mark in DRIVERS.items() if re.match(mark, head, re.I)), "")
 
 
 def read_heights(path: str | os.PathLike, *, crs: object = None) -> np.ndarray:
@@ -30,7 +54,8 @@ def read_heights(path: str | os.PathLike, *, crs: object = None) -> np.ndarray:
     Parameters
     ----------
     path : path
-        Any file of :func:`read_cloud`, as CSV with x, y, z; or a GeoTIFF of one band.
+        Any file of :func:`read_cloud`, as CSV with x, y, z; or a raster of one band that
+        GDAL reads: GeoTIFF, ESRI grid or NetCDF.
     crs : pyproj.CRS, optional
         Of the cloud: a file that names another is refused.
 
@@ -56,8 +81,7 @@ def read_heights(path: str | os.PathLike, *, crs: object = None) -> np.ndarray:
     [[0.0, 0.0, 1.25], [1.0, 0.0, 1.5]]
     """
     path = check_file(path, "reference")
-    raster = path.suffix.lower() in TIFF_ENDINGS
-    cloud, total = _raster_cloud(path) if raster else (read_cloud(path, columns=()), 0)
+    cloud, total = _raster_cloud(path) if is_raster(path) else (read_cloud(path, columns=()), 0)
     check_same_crs(f"reference {path}", cloud.crs, "cloud", crs)
     high = np.abs(cloud.points[:, 2]) >= NO_HEIGHT_M
     if high.all():
@@ -68,83 +92,110 @@ def read_heights(path: str | os.PathLike, *, crs: object = None) -> np.ndarray:
     if lost:
         told = f"Dropped {lost} of {max(total, len(cloud))} heights of {path}"
         warnings.warn(f"{told}: none, or {NO_HEIGHT_M:.0f} m and more.", stacklevel=2)
-    return cloud.points[~high]
+    points = cloud.points[~high]
+    first = np.sort(np.unique(points, axis=0, return_index=True)[1])
+    if twice := len(points) - len(first):
+        warnings.warn(f"Dropped {twice} points of {path} that are given twice.", stacklevel=2)
+    return points[first]
+
+
+@contextlib.contextmanager
+def open_raster(path: str | os.PathLike, name: str) -> Iterator[Any]:
+    """Hold a raster open as rasterio's dataset; of several in a file the first, or a sentence."""
+    rasterio, what = needs("files", "rasterio"), f"{name} {path}"
+    logging.getLogger("rasterio").setLevel(logging.CRITICAL)  # a sentence says what is wrong
+    with contextlib.ExitStack() as held:
+        held.enter_context(warnings.catch_warnings(action="ignore"))
+        with reading(path, name, RASTERS):
+            driver = _driver(path) or "GTiff"
+            file = held.enter_context(rasterio.open(path, driver=driver))
+            inside = file.subdatasets
+            if not file.count and len(inside) == 1:
+                file = held.enter_context(rasterio.open(inside[0], driver=driver))
+        several = ", ".join(one.rpartition(":")[2] for one in inside[:9])
+        refuse(not file.count, what, f"several rasters, {several}", RASTERS)
+        found = f"{file.width} x {file.height} x {file.count} cells"
+        refuse(file.width * file.height * file.count > MOST_VALUES, what, found, "of fewer")
+        yield file
 
 
 def _raster_cloud(path):
-    """The cells of a GeoTIFF that have a height, and the number of all."""
+    """The cells of a raster that have a height, and the number of all."""
     what = f"reference {path}"
-    with open_tiff(path, "reference", RASTERS) as file:
-        page = first_page(path, file)
-        refuse(page.samplesperpixel != 1, what, f"{page.samplesperpixel} bands", RASTERS)
-        place = _place(page.tags, what)
-        rows = np.reshape(page.tags.valueof("GeoKeyDirectoryTag", default=()), (-1, 4))[1:]
-        keys = {number: value for number, place_of, _, value in rows.tolist() if place_of == 0}
-        stored, _ = tiff_pixels(path, page, RASTERS)
-        refuse(stored.dtype.kind not in "iuf", what, f"values of type {stored.dtype}", "heights")
-        heights = stored[..., 0].astype(np.float64)
-        nothing = _number(page.tags.valueof("GDAL_NODATA"), "no-data value", what, np.nan)
-        heights[stored[..., 0] == nothing] = np.nan
-        scale, offset = _scale(page.tags.valueof("GDAL_METADATA", default=""), what)
-        masks = [
-            tiff_pixels(path, one, RASTERS)[0] for one in file.pages[1:] if one.subfiletype == MASK
-        ]
-    if Path(f"{path}.msk").is_file():
-        with open_tiff(f"{path}.msk", "mask", RASTERS) as file:
-            masks.append(tiff_pixels(f"{path}.msk", file.pages[0], RASTERS)[0])
-    for mask in masks:
-        other = mask.shape[:2] != heights.shape
-        refuse(other, what, "a mask of other size", "as large as heights")
-        heights[mask[..., 0] == 0] = np.nan
-    number = keys.get(systems.PLAN_SYSTEM, keys.get(systems.GLOBE_SYSTEM))
-    found = "a coordinate system without an EPSG number"
-    refuse(number == systems.USER_DEFINED, what, found, RASTERS)
-    crs = None if number is None else systems.named_system(number, what)
-    crs = systems.system_of_keys(keys, crs, what)
-    middle = 0.5 if keys.get(1025, 1) == 1 else 0.0
-    row, column = np.indices(heights.shape) + middle
-    x = place[0, 0] * column + place[0, 3]
-    y = place[1, 1] * row + place[1, 3]
-    points = np.stack([x, y, scale * heights + offset], axis=-1)
-    return Cloud(points[np.isfinite(heights)], crs=crs), heights.size
+    with open_raster(path, "reference") as file:
+        pages = len(file.subdatasets)
+        refuse(file.count != 1, what, f"{file.count} bands", RASTERS)
+        one_bit = file.tags(1, ns="IMAGE_STRUCTURE").get("NBITS") == "1"
+        kind = "bool" if one_bit else file.dtypes[0]
+        refuse(one_bit or kind.startswith("complex"), what, f"values of type {kind}", "heights")
+        unit, scale, offset = file.units[0] or "", file.scales[0], file.offsets[0]
+        refuse(unit.strip().lower() not in METRES, what, f"heights in {unit}", "in metres")
+        usable = np.isfinite([scale, offset]).all() and scale != 0
+        found = f"scale {scale:g} and offset {offset:g}"
+        refuse(not usable, what, found, "numbers, no scale of 0")
+        place = file.transform
+        crs = _system(file.crs, what)
+        nowhere = place.is_identity or (crs is None and place.c == place.f == 0)
+        refuse(nowhere, what, "no tie point or no size of its cells", RASTERS)
+        width = min(np.hypot(place.a, place.d), np.hypot(place.b, place.e))
+        degrees = crs is None and width < NARROWEST_CELL_M
+        refuse(degrees, what, f"cells of {width:g}, as of degrees", "in metres")
+        with reading(path, "reference", RASTERS):
+            heights = file.read(1, masked=True)
+    if pages > 1:
+        warnings.warn(f"Read the first of {pages} pages of {path}.", stacklevel=3)
+    row, column = np.nonzero(~np.ma.getmaskarray(heights) & np.isfinite(heights.data))
+    x = place.a * (column + 0.5) + place.b * (row + 0.5) + place.c
+    y = place.d * (column + 0.5) + place.e * (row + 0.5) + place.f
+    z = scale * heights.data[row, column].astype(np.float64) + offset
+    return Cloud(np.stack([x, y, z], axis=1), crs=crs), heights.size
 
 
-def _place(tags, what):
-    """The matrix from columns and rows to easting and northing of a raster with north upwards."""
-    matrix = np.eye(4)
-    if (given := tags.valueof("ModelTransformationTag")) is not None:
-        matrix = np.reshape(given, (4, 4)).astype(float)
-    else:
-        tie, size = tags.valueof("ModelTiepointTag"), tags.valueof("ModelPixelScaleTag")
-        lacks = "tie point" if tie is None else "size of its cells" if size is None else ""
-        found = f"no {lacks}" if lacks else "several tie points"
-        refuse(lacks or len(tie) != 6, what, found, RASTERS)
-        matrix[0, 0], matrix[1, 1] = size[0], -size[1]
-        matrix[:2, 3] = tie[3] - tie[0] * size[0], tie[4] + tie[1] * size[1]
-    width, depth = matrix[0, 0], -matrix[1, 1]
-    turned = matrix[0, 1] or matrix[1, 0] or not min(width, depth) > 0
-    refuse(turned, what, "turned or mirrored", RASTERS)
-    narrow = max(width, depth) < NARROWEST_CELL_M
-    refuse(narrow, what, f"cells of {width:g}, as of degrees", "in metres")
-    return matrix
+def _system(stated, what):
+    """The coordinate system of a raster; None for one in metres without a place on the globe."""
+    crs = named_system(stated.to_wkt(), what) if stated else None
+    local = crs is not None and not (crs.is_geographic or crs.is_projected or crs.is_compound)
+    return None if local and crs.axis_info[0].unit_conversion_factor == 1 else crs
 
 
-def _number(text, name, what, usual):
-    """A number that a raster states as text; the usual one where there is none."""
-    try:
-        return float(text) if text is not None and str(text).strip() else usual
-    except ValueError:
-        raise ValueError(f"Invalid {what} with {name} {text!r}. Must be a number.") from None
+def write_raster(
+    path: str | os.PathLike,
+    bands: Mapping[str, ArrayLike],
+    *,
+    corner: Sequence[float],
+    cell: float,
+    crs: object,
+    units: Sequence[str] = (),
+) -> None:
+    """Write bands with names, from north to south, as GeoTIFF of single precision.
 
+    Parameters
+    ----------
+    path : path
+    bands : dict of str to array_like, shape (rows, columns)
+        NaN stands for no value.
+    corner : (float, float)
+        Easting and northing of the upper left corner, m.
+    cell : float
+        Side of a cell, m.
+    crs : pyproj.CRS
+    units : sequence of str
+        Of each band.
 
-def _scale(text, what):
-    """The scale and offset of a raster's values in GDAL's metadata; a unit must be metres."""
-    found = dict(re.findall(r'role="(scale|offset|unittype)"[^>]*>([^<]*)<', str(text)))
-    unit = found.get("unittype", "m").strip().lower()
-    if unit not in ("", "m", "metre", "meter", "metres", "meters"):
-        raise ValueError(f"Invalid {what} with heights in {unit}. Must be in metres.")
-    usual = {"scale": 1.0, "offset": 0.0}
-    scale, offset = (_number(found.get(name), name, what, one) for name, one in usual.items())
-    usable = np.isfinite([scale, offset]).all() and scale != 0
-    refuse(not usable, what, f"scale {scale:g} and offset {offset:g}", "numbers, no scale of 0")
-    return scale, offset
+    See Also
+    --------
+    mmqa_lab.maps.write_map : a map of a campaign.
+    """
+    rasterio = needs("files", "rasterio")
+    values = np.stack([np.asarray(band, dtype=np.float32) for band in bands.values()])
+    layout = {"driver": "GTiff", "count": len(bands), "dtype": "float32", "nodata": np.nan}
+    layout |= {"height": values.shape[1], "width": values.shape[2], "compress": "deflate"}
+    layout |= {"transform": rasterio.Affine(cell, 0, corner[0], 0, -cell, corner[1])}
+
+    def write(file):
+        with rasterio.open(file, "w", crs=crs.to_wkt(), interleave="band", **layout) as raster:
+            raster.write(values)
+            raster.descriptions = [*bands]
+            raster.units = [*units] or [""] * len(bands)
+
+    write_atomically(path, write)

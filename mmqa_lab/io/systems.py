@@ -7,9 +7,8 @@ import warnings
 
 __all__ = ["las_system", "named_system", "system_of_keys"]
 
-# GeoTIFF keys (OGC 19-008r4), in LAS and TIFF files alike.
-MODEL, GLOBE_SYSTEM, PLAN_SYSTEM, PLAN_UNIT = 1024, 2048, 3072, 3076
-HEIGHT_SYSTEM, HEIGHT_UNIT = 4096, 4099
+# GeoTIFF keys of LAS files (OGC 19-008r4).
+MODEL, PLAN_UNIT, HEIGHT_SYSTEM, HEIGHT_UNIT = 1024, 3076, 4096, 4099
 DEGREES = 2
 USER_DEFINED = 32767
 

@@ -6,13 +6,10 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pandas as pd
 
-from mmqa_lab._checks import (
-    check_choice,
-)
-from mmqa_lab.io import write_atomically
+from mmqa_lab._checks import check_choice
+from mmqa_lab.io import write_atomically, write_raster
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -78,29 +75,14 @@ def write_map(path: str | os.PathLike, dataset: xr.Dataset) -> None:
         return
     if "spatial_ref" not in dataset.coords:
         raise ValueError(f"Invalid map {path}: no coordinate system in the files. Must be .nc.")
-    write_atomically(path, lambda file: _write_geotiff(dataset, file))
-
-
-def _write_geotiff(dataset, path):
-    """Write the figures as bands from north to south (OGC GeoTIFF 1.1, GDAL's names of bands)."""
     import pyproj
-    import tifffile
 
-    crs, cell = pyproj.CRS(dataset["spatial_ref"].attrs["crs_wkt"]), dataset.attrs["cell_m"]
-    number = (crs.sub_crs_list[0] if crs.is_compound else crs).to_epsg()
-    if number is None:
-        raise ValueError(f"Invalid map in {crs.name}. Must have an EPSG number, or be .nc.")
-    corner = float(dataset["x"][0]) - cell / 2, float(dataset["y"][-1]) + cell / 2
-    keys = (1, 1, 0, 3, 1024, 0, 1, 1, 1025, 0, 1, 1, 3072, 0, 1, number)
-    item = '<Item name="DESCRIPTION" sample="{}" role="description">{}</Item>'
-    names = "".join(item.format(k, name) for k, name in enumerate(dataset))
-    tags = [
-        (33550, "d", 3, (cell, cell, 0.0)),
-        (33922, "d", 6, (0.0, 0.0, 0.0, *corner, 0.0)),
-        (34735, "H", len(keys), keys),
-        (42112, "s", 0, f"<GDALMetadata>{names}</GDALMetadata>"),
-        (42113, "s", 0, "nan"),
-    ]
-    bands = np.stack([dataset[name].values[::-1] for name in dataset]).astype(np.float32)
-    choices = {"photometric": "minisblack", "planarconfig": "separate", "compression": "zlib"}
-    tifffile.imwrite(path, bands, extratags=tags, metadata=None, **choices)
+    cell = dataset.attrs["cell_m"]
+    write_raster(
+        path,
+        {str(name): dataset[name].values[::-1] for name in dataset},
+        corner=(float(dataset["x"][0]) - cell / 2, float(dataset["y"][-1]) + cell / 2),
+        cell=cell,
+        crs=pyproj.CRS(dataset["spatial_ref"].attrs["crs_wkt"]),
+        units=[dataset[name].attrs.get("units", "") for name in dataset],
+    )
