@@ -18,7 +18,7 @@ from mmqa_lab import mtf, radiometry
 from mmqa_lab._checks import check_choice, check_columns, check_known, check_number, refuse
 from mmqa_lab._results import sentences
 from mmqa_lab.charts import decode
-from mmqa_lab.radiometry.line_doubts import unlikely_term
+from mmqa_lab.radiometry.doubts import unlikely_term
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

@@ -5,8 +5,7 @@ import pandas as pd
 import pytest
 
 from mmqa_lab.boresight import calibrate, corrected
-from mmqa_lab.boresight.misfits import OnPlanes, OnPoles
-from mmqa_lab.boresight.shots import Shots
+from mmqa_lab.boresight.adjustment import OnPlanes, OnPoles, Shots
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.simulate import straight
 from mmqa_lab.simulate.test_field import make_test_field

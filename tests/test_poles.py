@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from mmqa_lab import poles
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.poles import common, fgi, itc, learned
-from mmqa_lab.poles.trees import FILE, OF_STREETS, read
+from mmqa_lab.poles.learned import FILE, OF_STREETS, read
 from mmqa_lab.simulate import streets
 
 

@@ -18,7 +18,7 @@ from mmqa_lab.radiometry import (
     patch_statistics,
     reflectance_factor,
 )
-from mmqa_lab.radiometry.anisotropy import walthall_terms
+from mmqa_lab.radiometry.reflectance import walthall_terms
 from mmqa_lab.simulate.targets import ATMOSPHERES, PointSpread, render_edge
 
 

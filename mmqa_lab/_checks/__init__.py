@@ -1,23 +1,15 @@
 """Argument checks with one message pattern: what is wrong, its value, what is expected."""
 
+# isort: off
 from mmqa_lab._checks.arrays import (
-    FARTHEST_M,
-    check_image,
-    check_plan,
-    check_points,
-    check_polygon,
-    check_row,
-    check_together,
-    check_values,
-    coordinate_columns,
-    plain_name,
-    real_array,
+    FARTHEST_M, check_image, check_plan, check_points, check_polygon, check_row, check_same_crs,
+    check_together, check_upright, check_values, coordinate_columns, plain_name, real_array,
     type_step,
-)
-from mmqa_lab._checks.files import check_file, check_kind, check_outputs, full_path, is_file
-from mmqa_lab._checks.numbers import check_count, check_number, check_positive
-from mmqa_lab._checks.systems import check_same_crs, check_upright
-from mmqa_lab._checks.words import check_choice, check_columns, check_known, listed, needs, refuse
+)  # fmt: skip
+from mmqa_lab._checks.words import (
+    check_choice, check_columns, check_count, check_file, check_kind, check_known, check_number,
+    check_outputs, check_positive, full_path, is_file, listed, needs, refuse,
+)  # fmt: skip
 
 __all__ = [
     "FARTHEST_M", "check_choice", "check_columns", "check_count", "check_file", "check_image",

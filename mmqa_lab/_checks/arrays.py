@@ -1,4 +1,4 @@
-"""The door of all that is given as numbers: arrays, tables, images, lines of coordinates."""
+"""The door of all that is given as numbers: arrays, tables, images, lines; their systems."""
 
 import contextlib
 import numbers
@@ -11,9 +11,12 @@ import numpy as np
 from mmqa_lab._checks.words import listed, refuse
 
 __all__ = [
-    "check_image", "check_plan", "check_points", "check_polygon", "check_row", "check_together",
-    "check_values", "coordinate_columns", "plain_name", "real_array", "type_step",
+    "check_image", "check_plan", "check_points", "check_polygon", "check_row", "check_same_crs",
+    "check_together", "check_upright", "check_values", "coordinate_columns", "plain_name",
+    "real_array", "type_step",
 ]  # fmt: skip
+__dir__ = __all__.copy
+
 
 # No place is as far from the origin, m.
 FARTHEST_M = 1e15
@@ -248,3 +251,44 @@ def _check_finite(array, name, missing):
     bad = np.isinf(array) if missing else ~np.isfinite(array)
     must = "finite, or NaN where not known" if missing else "finite"
     refuse(bad.any(), name, f"{bad.sum()} of {array.size} not finite", must)
+
+
+def check_same_crs(name, crs, other_name, other):
+    """Raise where a coordinate reference system differs from another or is not in metres.
+
+    What is not known, None, agrees with all; so do heights that one of both does not name.
+
+    Examples
+    --------
+    >>> import pyproj
+    >>> utm32, utm33 = pyproj.CRS("EPSG:25832"), pyproj.CRS("EPSG:25833")
+    >>> check_same_crs("polygon", utm33, "cloud", utm32)
+    Traceback (most recent call last):
+    ValueError: Invalid polygon in ETRS89 / UTM zone 33N. Must be in ETRS89 / UTM zone 32N, the
+    cloud's.
+    """
+    if crs is None:
+        return
+    ours, theirs = (one.sub_crs_list if one.is_compound else [one] for one in (crs, other or crs))
+    for part, wanted in zip(ours, theirs, strict=False):  # in plan, and heights where both name one
+        if part.name != wanted.name and not part.equals(wanted, ignore_axis_order=True):
+            must = f"{wanted.name}, the {other_name}'s"
+            raise ValueError(f"Invalid {name} in {part.name}. Must be in {must}.")
+    for axis in crs.axis_info:
+        if axis.unit_conversion_factor != 1:
+            odd = f"{'with heights ' if axis.direction == 'up' else ''}in {axis.unit_name}"
+            raise ValueError(f"Invalid {name} {odd} ({crs.name}). Must be projected, in metres.")
+
+
+def check_upright(name, crs):
+    """Raise where the third coordinate is not the height: in a geocentric system.
+
+    Examples
+    --------
+    >>> import pyproj
+    >>> check_upright("cloud", pyproj.CRS("EPSG:4978"))
+    Traceback (most recent call last):
+    ValueError: Invalid cloud in geocentric WGS 84. Must have z upwards.
+    """
+    if crs is not None and crs.is_geocentric:
+        raise ValueError(f"Invalid {name} in geocentric {crs.name}. Must have z upwards.")

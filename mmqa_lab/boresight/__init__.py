@@ -16,7 +16,6 @@ Signs are those of ``simulate``: vehicle frame x right, y travel, z up; boresigh
 pitches about x and heads about -z, so that the true beam is R(boresight) times the assumed one.
 """
 
-from mmqa_lab.boresight.features import LEAST_POINTS
-from mmqa_lab.boresight.mounting import Calibration, calibrate, corrected
+from mmqa_lab.boresight.mounting import LEAST_POINTS, Calibration, calibrate, corrected
 
 __all__ = ["LEAST_POINTS", "Calibration", "calibrate", "corrected"]

@@ -1,20 +1,29 @@
-"""Least squares of the misfits of all kinds, and the variance of what they give."""
+"""Least squares of misfits: distances of shots from the planes, poles and points they lie on."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, fields
 from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import null_space
 from scipy.optimize import least_squares
 
+from mmqa_lab._checks import check_columns
+from mmqa_lab.cloud import group_axes
 from mmqa_lab.planes import sigma_mad
+from mmqa_lab.rotations import rotations
 
-__all__ = ["PARAMETERS", "Adjustment", "stay_open"]
+__all__ = ["PARAMETERS", "Adjustment", "OnGround", "OnPlanes", "OnPoles", "Shots", "stay_open"]
+__dir__ = __all__.copy
 
 
 PARAMETERS = ("roll_deg", "pitch_deg", "heading_deg", "x_m", "y_m", "z_m")
 """Parameters of each head: boresight, and corrections to the assumed lever arm."""
+
+
+TURN_AXES = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+"""Axes of roll, pitch and heading."""
 
 
 class Adjustment:
@@ -106,3 +115,171 @@ def stay_open(which):
         f"Invalid drives: {' with '.join(names)} stays open. Must run in both directions past "
         "walls, poles and control points, or keep one of these as assumed."
     )
+
+
+class OnPlanes:
+    """Points on features of the same kind, here planes, feature by feature.
+
+    ``scatter`` has a typical value until the misfits are known.
+    """
+
+    scatter = 0.005
+
+    def __init__(self, shots, features):
+        self.known = [known for _, known in features]
+        self.of = np.repeat(np.arange(len(features)), [len(index) for index, _ in features])
+        index = [index for index, _ in features]
+        self.shots = shots.select(np.concatenate([np.empty(0, int), *index]))
+
+    @property
+    def starts(self):
+        """First row of each feature that still has points."""
+        return np.flatnonzero(np.diff(self.of, prepend=-1))
+
+    def rows(self, values):
+        """Misfit, slopes (see ``Shots.slopes``) and number of the feature of each row.
+
+        The parameters of the features are eliminated.
+        """
+        n, off, _, variance, axes = group_axes(self.shots.placed(values), self.starts)
+        off = np.einsum("ni,nij->nj", off, np.repeat(axes, n, axis=0))
+        slopes = self.shots.slopes(values, np.repeat(axes[:, :, 0], n, axis=0))
+        for k in range(3):  # offset and two tilts: from the centre they are orthogonal
+            size = n if k == 0 else n * np.maximum(variance[:, k], 1e-12)
+            column = (np.ones(len(off)) if k == 0 else off[:, k])[:, None]
+            share = np.add.reduceat(column * slopes, self.starts) / size[:, None]
+            slopes -= column * np.repeat(share, n, axis=0)
+        return off[:, 0], slopes, self.of
+
+    def keep(self, good):
+        """Leave out the points of the other rows."""
+        self.shots, self.of = self.shots.select(good), self.of[good]
+
+
+class OnPoles(OnPlanes):
+    """Points on cylinders with known outward normals and, if given, known radii.
+
+    The normals belong to the circle of each drive and head, since two arcs of a thin pole may have
+    moved past each other.
+    """
+
+    def __init__(self, shots, features):
+        super().__init__(shots, features)
+        self.ways = np.concatenate([np.empty((0, 2)), *(known[0] for known in self.known)])
+
+    def rows(self, values):
+        """See ``OnPlanes``."""
+        points = self.shots.placed(values)
+        misfit = (self.ways * points[:, :2]).sum(axis=1)
+        slopes = self.shots.slopes(values, np.pad(self.ways, ((0, 0), (0, 1))))
+        both = np.column_stack([misfit, slopes])
+        for run in np.split(np.arange(len(points)), self.starts[1:]):
+            way, radius = self.ways[run], self.known[self.of[run[0]]][1]
+            height = points[run, 2:] - points[run, 2].mean()
+            own = np.hstack([way, height * way, np.ones((len(run), 1))])
+            basis = np.linalg.qr(own[:, : 4 if radius else 5])[0]
+            both[run, 0] -= radius or 0.0
+            both[run] -= basis @ (basis.T @ both[run])
+        return both[:, 0], both[:, 1:], self.of
+
+    def keep(self, good):
+        """See ``OnPlanes``."""
+        super().keep(good)
+        self.ways = self.ways[good]
+
+
+class OnGround(OnPlanes):
+    """Points around control points of known height; a row per control point."""
+
+    scatter = 0.01
+
+    def rows(self, values):
+        """See ``OnPlanes``; a row per control point."""
+        numbers, n = np.unique(self.of, return_counts=True)
+        up = np.tile([0.0, 0.0, 1.0], (len(self.of), 1))
+        both = np.hstack([self.shots.placed(values)[:, 2:], self.shots.slopes(values, up)])
+        both = np.add.reduceat(both, self.starts) / n[:, None]
+        return both[:, 0] - np.take(self.known, numbers), both[:, 1:], numbers
+
+    def keep(self, good):
+        """See ``OnPlanes``."""
+        super().keep(np.repeat(good, np.unique(self.of, return_counts=True)[1]))
+
+
+@dataclass(frozen=True, eq=False)
+class Shots:
+    """The data of points: head, drive, place and attitude of the vehicle, lever arm, beam."""
+
+    head: np.ndarray
+    drive: np.ndarray
+    place: np.ndarray
+    rotation: np.ndarray
+    arm: np.ndarray
+    beam: np.ndarray
+
+    @classmethod
+    def of(cls, cloud, trajectory, lever, origin, drive=0):
+        """The shots of a cloud; places count from the origin."""
+        name = f"cloud {cloud.name or drive + 1}"
+        if not len(cloud):
+            raise ValueError(f"Invalid {name}: no points. Must have some.")
+        head = cloud["head"] if "head" in cloud else np.zeros(len(cloud), dtype=int)
+        wrong = (head < 0) | (head >= len(lever)) | (head % 1 != 0)
+        if wrong.any():
+            raise ValueError(
+                f"Invalid head {head[wrong][0]:g} of {name}. Must be 0 to {len(lever) - 1}: heads "
+                "count from 0, with one lever arm each."
+            )
+        check_columns(dict.fromkeys(cloud.columns), ("gps_time",), name)
+        try:
+            position, rotation = trajectory.at(np.asarray(cloud["gps_time"], dtype=np.float64))
+        except ValueError as error:
+            raise ValueError(f"Invalid {name}: {str(error).removeprefix('Invalid ')}") from None
+        head = head.astype(int)
+        beam = np.einsum("nij,ni->nj", rotation, cloud.points - position) - lever[head]
+        drives = np.full(len(cloud), drive)
+        return cls(head, drives, position - origin, rotation, lever[head], beam)
+
+    @classmethod
+    def sampled(cls, drives, lever, origin, rng):
+        """The shots of all drives, at most a million of each cloud, at random."""
+        parts = []
+        for number, (cloud, path) in enumerate(drives):
+            rows = np.sort(rng.permutation(len(cloud))[:1_000_000])
+            parts.append(cls.of(cloud[rows], path, lever, origin, number))
+            time = cloud["gps_time"]
+            if time.min() == time.max():
+                raise ValueError(
+                    f"Invalid gps_time of cloud {cloud.name or number + 1}: all {time[0]} s. "
+                    "Must be the time of each point."
+                )
+        columns = ([getattr(part, field.name) for part in parts] for field in fields(cls))
+        return cls(*map(np.concatenate, columns))
+
+    def select(self, which):
+        """The shots of a mask or of row numbers."""
+        return Shots(*(getattr(self, field.name)[which] for field in fields(self)))
+
+    def inside(self, values):
+        """Beams as the heads' boresight turns them, and points, both in the vehicle's frame."""
+        beam = np.einsum("nij,nj->ni", rotations(*values[:, :3].T)[self.head], self.beam)
+        return beam, beam + self.arm + values[self.head, 3:]
+
+    def placed(self, values):
+        """Points from the origin; ``values`` (heads, 6) in radians and metres."""
+        return self.place + np.einsum("nij,nj->ni", self.rotation, self.inside(values)[1])
+
+    def slopes(self, values, way):
+        """Change of points along ``way`` (n, 3) by heads (6 h columns), then by paths (6 d).
+
+        A path's error lasts its whole drive: place (east, north, height) and angles.
+        """
+        beam, point = self.inside(values)
+        across = np.einsum("nij,ni->nj", self.rotation, way)
+        own = np.hstack([np.cross(beam, across) @ TURN_AXES.T, across])
+        paths = np.hstack([way, np.cross(point, across) @ TURN_AXES.T])
+        heads, count = len(values), self.drive.max() + 1
+        table = np.zeros((len(way), heads + count, 6))
+        rows = np.arange(len(way))
+        table[rows, self.head], table[rows, heads + self.drive] = own, paths
+        return table.reshape(len(way), -1)

@@ -1,4 +1,4 @@
-"""What speaks against the figures of a selection of points."""
+"""What speaks against the figures of a selection of points, and which part of it stands off."""
 
 from __future__ import annotations
 
@@ -6,21 +6,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mmqa_lab._results import sentences
-from mmqa_lab.planes import sigma_mad
+from mmqa_lab.planes import checked_plane, sigma_mad
 from mmqa_lab.spacing.directions import FEWEST_POINTS, block_numbers
 from mmqa_lab.spacing.empty import EmptySpace, places_within
 from mmqa_lab.spacing.neighbours import tree_of
 
 __all__ = [
-    "COARSE_MM",
-    "PAIRS",
-    "is_below_step",
-    "is_coarse",
-    "remark_on_form",
-    "remark_on_gaps",
-    "remark_on_layers",
-    "remarks_on_points",
-]
+    "COARSE_MM", "PAIRS", "is_below_step", "is_coarse", "part_off", "remark_on_form",
+    "remark_on_gaps", "remark_on_layers", "remark_on_part", "remarks_on_points",
+]  # fmt: skip
+__dir__ = __all__.copy
+
 
 LAYER_ERRORS = 4.0
 """Errors of a count by which the dip between two layers is deeper than by chance."""
@@ -50,6 +46,18 @@ DUPLICATES = 0.001
 BENT = 0.5
 """Share of the variance of the distances, explained by a surface of second degree, above which a
 remark is given."""
+
+OFF_SIGMAS = 4.0
+"""Points farther than so many sigma_MAD from the plane of most points stand off it."""
+
+OFF_SHARES = 0.01, 0.3
+"""Least and largest share of such points: fewer are strays, more are a layer."""
+
+MISLED = 1.1
+"""Ratio of sigma_MAD with and without such points from which they mislead the plane."""
+
+MOST_FITTED = 10_000
+"""Points that the plane of most points is fitted to."""
 
 
 def remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
@@ -203,3 +211,33 @@ def remark_on_layers(residuals_mm, step_mm):
     peaks = [edges[np.argmax(counts[:k])], edges[k + np.argmax(counts[k:])]]
     a, b = np.add(peaks, width / 2)
     return [f"Distances from the plane have two layers, {a:.0f} and {b:.0f} mm: not noise alone."]
+
+
+def part_off(points, scale, step_mm=0.0):
+    """The mask of the points that mislead the regression plane, and the plane of the others.
+
+    The plane of most points is the robust one; without such points the plane is None. Within two
+    steps of the coordinates no point stands off.
+    """
+    plane = checked_plane(points[:: 1 + len(points) // MOST_FITTED], robust=True)
+    away = plane.distances(points)
+    least = max(OFF_SIGMAS * sigma_mad(away, scale), 0.002 * step_mm)
+    off = np.abs(away - np.median(away)) > least
+    if not OFF_SHARES[0] <= off.mean() <= OFF_SHARES[1]:
+        return np.zeros(len(points), dtype=bool), None
+    return off, checked_plane(points[~off])
+
+
+def remark_on_part(points, plane, sigma_mm, scale, step_mm):
+    """A remark if a part that stands off turns the regression plane or widens sigma_MAD."""
+    off, without = part_off(points, scale, step_mm)
+    if without is None:
+        return ()
+    alone_mm = 1000 * sigma_mad(without.residuals, scale)
+    if sigma_mm <= MISLED * alone_mm + 1e-6:
+        return ()
+    turn = np.degrees(np.arccos(min(1.0, abs(plane.normal @ without.normal))))
+    return (
+        f"{off.sum()} points ({100 * off.mean():.2g} %) stand off the others and turn the plane by "
+        f"{turn:.2g} degrees: sigma_MAD is {sigma_mm:.1f} mm with them, {alone_mm:.1f} mm without.",
+    )

@@ -10,14 +10,12 @@ Images are arrays of linear light with full scale 1; :func:`evaluate_file` reads
 """
 
 # isort: off
-from mmqa_lab.chart_image.alignment import SIGMAS_PX, align
-from mmqa_lab.chart_image.bends import BLOCKS
+from mmqa_lab.chart_image.alignment import BLOCKS, SIGMAS_PX, align
 from mmqa_lab.chart_image.doubts import hidden_texts
 from mmqa_lab.chart_image.finding import locate
 from mmqa_lab.chart_image.legibility import (
     MARKS, Agreement, Crop, agreement, check_marks, expected_marks, text_crops,
 )  # fmt: skip
-from mmqa_lab.chart_image.lengths import pixel_sizes
 from mmqa_lab.chart_image.line_pairs import (
     HIDDEN, MOVED, SMALLEST_GAP, SMALLEST_PAIR_PX, PairReading, Resolution, expected_contrast,
     read_pairs, read_pattern, resolution,
@@ -25,7 +23,7 @@ from mmqa_lab.chart_image.line_pairs import (
 from mmqa_lab.chart_image.maps import Bend, ChartMap, LensCamera, PanoramaCamera, four_corners
 from mmqa_lab.chart_image.quality import ImageQuality, evaluate_file, evaluate_image
 from mmqa_lab.chart_image.site import PLACE_COLUMNS, chart_site, choose_images
-from mmqa_lab.chart_image.tones import Tones, find_tones
+from mmqa_lab.chart_image.tones import Tones, find_tones, pixel_sizes
 
 __all__ = [
     "BLOCKS", "HIDDEN", "MARKS", "MOVED", "PLACE_COLUMNS", "SIGMAS_PX", "SMALLEST_GAP",

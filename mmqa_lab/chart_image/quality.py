@@ -15,7 +15,6 @@ from mmqa_lab._results import Shown
 from mmqa_lab.chart_image.alignment import align
 from mmqa_lab.chart_image.doubts import doubts
 from mmqa_lab.chart_image.finding import locate
-from mmqa_lab.chart_image.lengths import pixel_sizes
 from mmqa_lab.chart_image.line_pairs import (
     HIDDEN,
     SMALLEST_GAP,
@@ -25,7 +24,7 @@ from mmqa_lab.chart_image.line_pairs import (
     resolution,
 )
 from mmqa_lab.chart_image.maps import ChartMap, LensCamera, PanoramaCamera
-from mmqa_lab.chart_image.tones import Tones, find_tones
+from mmqa_lab.chart_image.tones import Tones, find_tones, pixel_sizes
 from mmqa_lab.charts import Layout, decode
 from mmqa_lab.io import read_camera, read_image
 

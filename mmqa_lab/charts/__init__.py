@@ -5,10 +5,9 @@ photograph, and tells the evaluation where everything lies. :func:`encode` and :
 from linear light to the values of image files and back.
 """
 
-from mmqa_lab.charts.draw import reflectance
+from mmqa_lab.charts.draw import decode, encode, reflectance
 from mmqa_lab.charts.elements import Bar, LinePairs, Marker, Text
 from mmqa_lab.charts.layout import Layout, how_to_use, imaging_chart, point_chart
-from mmqa_lab.charts.light import decode, encode
 
 __all__ = [
     "Bar", "Layout", "LinePairs", "Marker", "Text", "decode", "encode", "how_to_use",

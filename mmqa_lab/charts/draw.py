@@ -1,17 +1,30 @@
-"""The reflectance of a chart as an image: what simulated cameras photograph."""
+"""Charts drawn: as reflectance for simulated cameras, and as PDF and SVG to print at true size.
+
+Files give tones by the curve of sRGB and show letters as outlines, so that no font is missing.
+:func:`encode` and :func:`decode` lead from linear light to the values of image files and back.
+"""
 
 from dataclasses import replace
+from io import BytesIO
 
 import numpy as np
 
-from mmqa_lab._checks import check_positive, refuse
-from mmqa_lab.charts.elements import WHITE, Text
+from mmqa_lab._checks import check_choice, check_positive, real_array, refuse
+from mmqa_lab.charts.elements import WHITE, Bar, Text
 from mmqa_lab.charts.layout import Layout
 
-__all__ = ["reflectance"]
+__all__ = ["decode", "drawn", "encode", "reflectance"]
+__dir__ = __all__.copy
+
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Shares of red, green and blue in a grey tone (ITU-R BT.709)."""
+
+
+GAMMAS = ("srgb", "linear")
+
+KNEE = 0.0031308
+"""Linear light below which the curve of sRGB is a straight line."""
 
 
 def reflectance(layout: Layout, *, cell: float, colour: bool = False) -> np.ndarray:
@@ -103,3 +116,99 @@ def _add_text(image, element, cell):
     share = np.asarray(renderer.buffer_rgba())[::-1, :, 3] / np.float32(255)
     change = np.float32(element.tone - element.ground)
     image[first[1] : last[1], first[0] : last[0]] += share * change
+
+
+def drawn(layout, form, metadata, notes=""):
+    """The chart in a file format, at true size."""
+    from matplotlib import style
+    from matplotlib.backends.backend_pdf import PdfPages
+    from matplotlib.figure import Figure
+    from matplotlib.patches import PathPatch
+    from matplotlib.transforms import Affine2D
+
+    place, stream = Affine2D().scale(72 / 25.4), BytesIO()
+    # a style that someone set must not change the size of the page
+    with style.context(["default", {"svg.hashsalt": "mmqa_lab"}]):
+        size = layout.width / 25.4, layout.height / 25.4
+        page = Figure(figsize=size, frameon=False, dpi=72)
+        for element in layout.elements:
+            for tone, outline in _shapes(element).items():
+                look = {"facecolor": _ink(tone), "lw": 0, "gid": element.name}
+                page.add_artist(PathPatch(outline, transform=place, **look))
+        if not notes:
+            page.savefig(stream, format=form, metadata=metadata)
+            return stream.getvalue()
+        second = Figure(figsize=(8.27, 11.69))
+        second.text(0.09, 0.95, notes, va="top", size=9.5, linespacing=1.45)
+        with PdfPages(stream, metadata=metadata) as file:
+            file.savefig(page)
+            file.savefig(second)
+    return stream.getvalue()
+
+
+def _shapes(element):
+    """The outline of each tone other than white; neighbours of the same tone are joined."""
+    import shapely
+    from matplotlib.path import Path as Outline
+
+    if isinstance(element, Text):
+        return {element.tone: element.outline()}
+    if isinstance(element, Bar):
+        return {element.tone: Outline(element.corners()[[0, 1, 2, 3, 0]], closed=True)}
+    x, y, tones = element.grid()
+    boxes = shapely.box(*np.meshgrid(x[:-1], y[:-1]), *np.meshgrid(x[1:], y[1:]))
+    outlines = {}
+    for tone in np.unique(tones):
+        if tone != WHITE or element.ground != WHITE:
+            shape = shapely.normalize(shapely.union_all(boxes[tones == tone]))
+            rings = shapely.get_rings(shapely.get_parts(shape))
+            paths = [Outline(shapely.get_coordinates(ring), closed=True) for ring in rings]
+            outlines[float(tone)] = Outline.make_compound_path(*paths)
+    return outlines
+
+
+def _ink(tone):
+    """The colour of a tone in a file: a grey stays a grey."""
+    coded = encode(np.array(tone, dtype=float), "srgb")
+    return tuple(coded) if coded.ndim else str(float(coded))
+
+
+def encode(values: np.ndarray, gamma: str) -> np.ndarray:
+    """Return values 0..1 of linear light as the file's: unchanged, or by the curve of sRGB.
+
+    References
+    ----------
+    IEC 61966-2-1:1999, section 5.2.
+
+    Examples
+    --------
+    >>> encode(np.array([0.0, 0.18, 1.0]), "srgb").round(2).tolist()
+    [0.0, 0.46, 1.0]
+    """
+    if check_choice(gamma, "gamma", GAMMAS) == "linear":
+        return values
+    values = np.clip(_grey(values), 0, 1)
+    curve = 1.055 * np.maximum(values, KNEE) ** (1 / 2.4) - 0.055
+    return np.where(values <= KNEE, 12.92 * values, curve).astype(values.dtype)
+
+
+def decode(values: np.ndarray, gamma: str) -> np.ndarray:
+    """Return a file's values 0..1 as linear light, the inverse of :func:`encode`.
+
+    Examples
+    --------
+    >>> bool(np.isclose(decode(encode(np.array([0.2]), "srgb"), "srgb"), 0.2)[0])
+    True
+    """
+    if check_choice(gamma, "gamma", GAMMAS) == "linear":
+        return values
+    values = _grey(values)
+    curve = ((np.maximum(values, 12.92 * KNEE) + 0.055) / 1.055) ** 2.4
+    return np.where(values <= 12.92 * KNEE, values / 12.92, curve).astype(values.dtype)
+
+
+def _grey(values):
+    """Grey values in their type, if that has fractions."""
+    values = real_array(values, "grey values")
+    refuse(not np.isfinite(values).all(), "grey values", "some not finite", "finite")
+    return values if values.dtype.kind == "f" else values.astype(np.float64)

@@ -121,13 +121,13 @@ class Layout(Rectangle):
 
         Notes, if any, are a second page, A4.
         """
-        from mmqa_lab.charts.print import drawn
+        from mmqa_lab.charts.draw import drawn
 
         return drawn(self, "pdf", {"CreationDate": None, "Title": self.name}, notes)
 
     def to_svg(self) -> bytes:
         """Return the chart as SVG at true size, bytes; each element is a named group."""
-        from mmqa_lab.charts.print import drawn
+        from mmqa_lab.charts.draw import drawn
 
         return drawn(self, "svg", {"Date": None, "Title": self.name})
 

@@ -1,19 +1,23 @@
-"""The commands on clouds: what files contain, and the figures of one surface."""
+"""The commands on clouds: their content, the figures of a surface, maps, edges and poles."""
 
 import re
+import warnings
 from pathlib import Path
+from typing import Literal
 
+from mmqa_lab._checks import check_known, check_upright, needs
 from mmqa_lab.commands.machine import (
     FIGURE_ENDINGS,
     check_ending,
     each_file,
+    progress,
     say_shown,
     table,
     write_figure,
 )
-from mmqa_lab.commands.metrics import metrics_of
 
-__all__ = ["evaluate", "info", "pattern"]
+__all__ = ["evaluate", "info", "lhd", "map_", "metrics_of", "pattern", "poles"]
+__dir__ = __all__.copy
 
 
 @table
@@ -195,3 +199,146 @@ def pattern(clouds: list[Path], /, *, polygon: str | None = None):
         return scan_pattern.measure_pattern(cloud, **numbers).to_frame()
 
     return each_file(clouds, "cloud", measured)
+
+
+@table
+def map_(clouds: list[Path], /, *, out: Path, cell: float = 0.5, metrics: str | None = None):
+    """Map the quality of a campaign: density, d1..d4, f, sigma_MAD in every cell.
+
+    The tiles of the map are kept in a folder beside it, whose name ends in .run. An interrupted
+    run continues from there.
+
+    Parameters
+    ----------
+    clouds
+        Cloud files (LAS, LAZ, COPC, PLY or text), and folders of LAS, LAZ or COPC files.
+    out
+        Write the map into this file: .nc (NetCDF) or .tif (GeoTIFF).
+    cell
+        Side of the square cells, m.
+    metrics
+        More metrics, such as e95_of_3,noise_of_a_mean,MODULE:FUNCTION, or all; see evaluate.
+    """
+    from mmqa_lab import maps
+
+    check_ending(out, "map", maps.ENDINGS)
+    if out.suffix.lower() == ".tif":
+        needs("files", "rasterio")
+    chosen = metrics_of(metrics)
+    with warnings.catch_warnings(action="ignore"):  # the map has them as remarks
+        folder = maps.map_campaign(clouds, out.with_suffix(".run"), cell=cell, metrics=chosen)
+    dataset = maps.open_map(folder)
+    maps.write_map(out, dataset)
+    return maps.summarise(dataset).assign(remarks=dataset.attrs["remarks"])
+
+
+@table
+def lhd(
+    files: list[Path],
+    /,
+    *,
+    reference: Path | None = None,
+    weight: float = 10.0,
+    radius: float = 4.0,
+    matcher: str = "all",
+):
+    """Line-segment Hausdorff distances between sets of 3-D edges, both ways.
+
+    Every set is compared with every other, and with the reference. The published method pairs all
+    segments below a threshold (Poreba & Goulette 2013, hal-00846334). The value contains the noise
+    of angles and ends, and false pairs, as well as displacement: compare it with the perpendicular
+    part and the displacement beside it.
+
+    Parameters
+    ----------
+    files
+        Segments (CSV with x1,y1,z1,x2,y2,z2, m) or clouds, whose edges are extracted first.
+    reference
+        Edges or cloud of the static survey, the reference.
+    weight
+        Weight of the angle in the distance.
+    radius
+        Largest displacement that is searched for, m.
+    matcher
+        How segments are paired: all, nearest, mutual, hungarian, fragments or displaced.
+    """
+    from mmqa_lab import io, lines
+
+    files = [*files, *([] if reference is None else [reference])]
+    names = [file.stem for file in files]
+    names = names if len(set(names)) == len(names) else [str(file) for file in files]
+    sets = {}
+    for name, file in zip(names, progress(files, "file"), strict=True):
+        if file.suffix.lower() in (".csv", ".txt"):
+            sets[name] = io.read_segments(file)
+        else:
+            sets[name] = lines.extract_edges(io.read_cloud(file, columns=()).points).segments
+    wanted = None if reference is None else names[-1]
+    return lines.compare(sets, reference=wanted, radius=radius, weight=weight, matcher=matcher)
+
+
+@table
+def poles(
+    clouds: list[Path],
+    /,
+    *,
+    method: Literal["learned", "fgi", "itc"] = "learned",
+    trajectory: Path | None = None,
+    corridor: float | None = None,
+    reference: Path | None = None,
+):
+    """Detect poles in clouds of one street, and score them against a reference.
+
+    Method learned takes any cloud. Method fgi follows scan lines (Lehtomaki et al. 2010), itc
+    connected components (Pu et al. 2011).
+
+    Parameters
+    ----------
+    clouds
+        Cloud files: LAS, LAZ, COPC, PLY or text.
+    method
+        The detector.
+    trajectory
+        CSV file of the path. Known poles and finds beyond the corridor along it do not count.
+    corridor
+        Half of the corridor's width, m.
+    reference
+        CSV file of known poles with x_m, y_m. Prints recall and precision.
+    """
+    import numpy as np
+
+    from mmqa_lab import io, poles
+    from mmqa_lab.cloud import Cloud
+
+    parts = []
+    for number, file in enumerate(progress(clouds, "cloud")):
+        cloud = io.read_cloud(file)
+        check_upright(f"cloud {file}", cloud.crs)
+        head = {"head": np.full(len(cloud), number)} if len(clouds) > 1 else {}
+        parts.append(Cloud(cloud.points, head | dict(cloud.columns), file.stem, crs=cloud.crs))
+    path = None
+    if trajectory is not None:
+        path = io.read_trajectory(trajectory, crs=parts[0].crs)[["easting_m", "northing_m"]]
+    found = poles.detect(Cloud.concatenate(parts), method=method)
+    if reference is None:
+        return found
+    known = io.read_table(reference, "reference", ("x_m", "y_m"))
+    return poles.score(found, known, trajectory=path, corridor=corridor).to_frame()
+
+
+def metrics_of(text):
+    """Functions of a chart by their names, from "all" or "NAME,MODULE:FUNCTION"; none for None."""
+    from mmqa_lab.commands.laboratory import named_function
+    from mmqa_lab.metrics import METRICS
+
+    if text is None:
+        return {}
+    found = {}
+    for word in METRICS if text == "all" else text.split(","):
+        if ":" in word:
+            name, function = named_function(word)
+        else:
+            name = check_known(word.strip(), "metric", METRICS)
+            function = METRICS[name]
+        found[name] = function
+    return found

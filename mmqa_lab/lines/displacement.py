@@ -24,16 +24,7 @@ from scipy import stats
 from mmqa_lab._checks import check_number
 from mmqa_lab._results import Shown, about, sentences
 from mmqa_lab.lines.pairing import check_pairs, levers, paired
-from mmqa_lab.lines.paths import Search, together
-from mmqa_lab.lines.refinement import refined
-from mmqa_lab.lines.segments import (
-    check_segments,
-    components,
-    from_common_origin,
-    lengths,
-    midpoints,
-)
-from mmqa_lab.lines.settings import (
+from mmqa_lab.lines.paths import (
     CHANGE,
     CHANGED_M,
     FEW_EVIDENCE,
@@ -48,6 +39,16 @@ from mmqa_lab.lines.settings import (
     RIVAL,
     TURN_RAD,
     TURNS,
+    Search,
+    refined,
+    together,
+)
+from mmqa_lab.lines.segments import (
+    check_segments,
+    components,
+    from_common_origin,
+    lengths,
+    midpoints,
 )
 
 __all__ = ["Displacement", "fit_displacement", "match_displaced"]

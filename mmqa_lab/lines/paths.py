@@ -1,28 +1,86 @@
-"""Paths of a displacement that changes along the set, through the votes of its lines."""
+"""The search for a displacement that changes along the set.
+
+Its constants, and what each was chosen on:
+
+| constants | chosen on |
+|---|---|
+| TURN_RAD, CHANGE, USUAL_CHANGE, CHANGED_M, TURNS | drifts and turns of mobile scanners in print |
+| STEP_M to AGREE, MOST_RADIUS_M, MOST_VOTES | half the noise of lines; time and memory |
+| VOTE, FIRST_NOISE_M, CLUTTER_PER_M2, LEFT_M | simulated canyons of other seeds than the reported |
+| ENDS_AGREE, END_M, CLUTTER_ENDS_PER_M | gaps of ends in simulated rows of windows |
+| PATHS, ELSEWHERE_M | simulated canyons |
+| MOST_PATHS, LEAST_VOTES | equal bays, where three paths may be all one wrong answer |
+| LEAST_EVIDENCE, FEW_SHARE | canyons, and sets without any common line |
+| FEW_EVIDENCE, RIVAL, MOST_RIVAL | 300 rows of windows with few common lines: no score there |
+"""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
 from mmqa_lab._compiled import njit
-from mmqa_lab.lines.pairing import levers
+from mmqa_lab.lines.pairing import apart, levers, paired
 from mmqa_lab.lines.segments import midpoints
-from mmqa_lab.lines.settings import (
-    AGREE,
-    CHANGE,
-    CHANGED_M,
-    ELSEWHERE_M,
-    FINE_M,
-    MOST_STATIONS,
-    MOST_VOTES,
-    STATION_M,
-    STEP_M,
-    USUAL_CHANGE,
-    VOTE,
-)
 from mmqa_lab.rotations import across
 
-__all__ = ["Search", "together"]
+__all__ = [
+    "AGREE", "CHANGE", "CHANGED_M", "CLUTTER_ENDS_PER_M", "CLUTTER_PER_M2", "ELSEWHERE_M",
+    "ENDS_AGREE", "END_M", "FEW_EVIDENCE", "FEW_SHARE", "FINE_M", "FINE_RADIUS_M",
+    "FIRST_NOISE_M", "LEAST_EVIDENCE", "LEAST_VOTES", "LEFT_M", "MOST_PATHS", "MOST_RADIUS_M",
+    "MOST_RIVAL", "MOST_STATIONS", "MOST_VOTES", "PATHS", "RIVAL", "STATION_M", "STEP_M",
+    "TURNS", "TURN_RAD", "USUAL_CHANGE", "VOTE", "Search", "refined", "together",
+]  # fmt: skip
+__dir__ = __all__.copy
+
+
+# Prior standard deviation of the rotation about the vertical.
+TURN_RAD = np.radians(1.0)
+
+# Steps of the displacements tried, first and about the path found, and how far from it.
+STEP_M, FINE_M, FINE_RADIUS_M = 0.3, 0.15, 1.5
+
+# Distance of stations, their number, and the distance in steps within which lines agree.
+STATION_M, MOST_STATIONS, AGREE = 5.0, 60, 1.7
+
+# Largest radius, and number of votes at all stations that is kept in memory.
+MOST_RADIUS_M, MOST_VOTES = 20.0, 3e7
+
+# Largest change of the displacement with the distance from the middle (a turn of 3.4 degrees), its
+# usual change from station to station, m/m, and its largest change in all, m.
+CHANGE, USUAL_CHANGE, CHANGED_M = 0.06, 0.05, 6.0
+
+# Turns tried between the lines on both sides of the path.
+TURNS = np.radians([-3, -1.5, 0, 1.5, 3])
+
+# Log likelihood ratio of one vote.
+VOTE = 2.5
+
+# Deviations from the path with which the pairs are sought first.
+FIRST_NOISE_M = 0.3
+
+# Density of unrelated parallel lines; standard deviation of drift that neighbours do not show.
+CLUTTER_PER_M2, LEFT_M = 0.1, 0.08
+
+# Least share of the ends of true pairs that agree and their mean gap; density of other gaps.
+ENDS_AGREE, END_M, CLUTTER_ENDS_PER_M = 0.3, 0.15, 0.4
+
+# Number of paths compared, the most where others have nearly as many votes as the best, this
+# share, and the least distance of paths at each station.
+PATHS, MOST_PATHS, LEAST_VOTES, ELSEWHERE_M = 3, 8, 0.75, 0.8
+
+# Least evidence per pair; the share of the smaller set below which there is a remark.
+LEAST_EVIDENCE, FEW_SHARE = 2.2, 0.4
+
+# Least evidence per pair where few lines are paired, and how much less with their share: without
+# the ends, or with them.
+FEW_EVIDENCE = (7.2, 10.0), (10.0, 16.0)
+
+# Largest evidence of a path with other pairs, as a share of the best one's: with few lines, above
+# this share by the share of the lines that are paired. These and the evidence with few lines were
+# chosen on 300 simulated rows of windows with few common lines, so no score there.
+RIVAL, MOST_RIVAL = 0.45, 0.9
 
 
 def together(places):
@@ -179,3 +237,86 @@ def _add_planes(votes, planes, moves, frame, half):
         for k in range(len(at)):
             if votes[station, k] >= 0:
                 votes[station, k] += planes[station, at[k]]
+
+
+def refined(lines, start):
+    """Evidence, pairs, and the ends' part of the evidence, from a start.
+
+    Pairs and displacement are updated in turns.
+    """
+    lines = lines.again(start(lines.place))
+    moved, noise = start(lines.place), FIRST_NOISE_M
+    off = lines.offset - np.einsum("nkd,nd->nk", lines.frame, moved)
+    near = (off**2).sum(axis=1) < FINE_RADIUS_M**2
+    lines = paired(lines.test, lines.model, lines.rows[near], lines.columns[near])
+    moved = moved[near]
+    outcome = 0.0, np.zeros(lines.shape, dtype=bool), 0.0
+    for _ in range(10):
+        lines = lines.again(moved)
+        off = lines.offset - np.einsum("nkd,nd->nk", lines.frame, moved)
+        variance = noise**2 + LEFT_M**2
+        squares = (off**2).sum(axis=1) / variance
+        # true pairs share 0.18 of the shorter line at least, and 99.7 % of them are as near
+        allowed = (lines.overlap >= 0.18) & (squares < -2 * np.log(0.003))
+        pairs = apart(lines, np.where(allowed, squares, np.inf))
+        members = np.flatnonzero(pairs[lines.rows, lines.columns])
+        if len(members) < 3:
+            break
+        # log likelihood ratio of true pairs to unrelated lines
+        ratio = -squares[members] / 2 - np.log(2 * np.pi * variance * CLUTTER_PER_M2)
+        ends = _agreement(lines)[members].sum()
+        same, outcome = (pairs == outcome[1]).all(), (ratio.sum() + ends, pairs, ends)
+        before, noise = noise, np.clip(np.median(np.abs(off[members])) * 1.48, 0.03, noise)
+        if same and noise > 0.99 * before:
+            break
+        moved = _field(lines, start(lines.place), members, noise)
+    return outcome
+
+
+def _agreement(lines):
+    """Log likelihood ratio of the gaps between the ends of paired lines, zero if they disagree."""
+    half_t, half_m = lines.half
+    gaps = np.abs(np.stack([lines.along - half_t + half_m, lines.along + half_t - half_m]))
+    agree = np.exp(-gaps / END_M) / END_M
+    ratio = np.log(1 - ENDS_AGREE + ENDS_AGREE * agree / CLUTTER_ENDS_PER_M)
+    return np.maximum(ratio.sum(axis=0), 0)
+
+
+def _field(lines, path, members, noise):
+    """Displacement (n, 3) at all pairs, each from the other pairs: the path and what is left of it.
+
+    What is left is a vector, a turn, and drift with a standard deviation of 0.25 m and a
+    correlation length of 20 m.
+    """
+    frame, place = lines.frame[members], lines.place[members]
+    centre = place.mean(axis=0)
+    off = lines.offset[members] - np.einsum("nkd,nd->nk", frame, path[members])
+    design = lines.design(centre)[members]
+    prior = noise**2 * np.diag([1e-6, 1e-6, 1e-6, 1 / TURN_RAD**2])
+    normal = np.einsum("nkd,nke->de", design, design) + prior
+    mean = np.linalg.solve(normal, np.einsum("nkd,nk->d", design, off))
+    off = off - design @ mean
+    pulls = np.einsum("nkd,nk->nd", frame, off)
+    parts = np.concatenate([frame.swapaxes(1, 2) @ frame, pulls[..., None]], axis=2)
+    felt = _felt(lines.place, members, parts.reshape(-1, 12).T.copy()).reshape(-1, 3, 4)
+    holds, pulls = felt[..., :3] + (noise / 0.25) ** 2 * np.eye(3), felt[..., 3:]
+    steady = path + mean[:3] + mean[3] * levers(lines.place - centre)
+    return steady + np.linalg.solve(holds, pulls)[..., 0]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _felt(places, members, parts):
+    """Sum (n, 12) of the parts (12, members) of all but the place itself, less with distance."""
+    felt, shares = np.zeros((len(places), 12)), np.empty(len(members))
+    for n in range(len(places)):
+        x, y, z = places[n]
+        for m in range(len(members)):
+            at = places[members[m]]
+            gap = math.sqrt((x - at[0]) ** 2 + (y - at[1]) ** 2 + (z - at[2]) ** 2)
+            shares[m] = math.exp(-gap / 20) if members[m] != n else 0.0
+        for k in range(12):
+            total = 0.0
+            for m in range(len(members)):
+                total += shares[m] * parts[k, m]
+            felt[n, k] = total
+    return felt

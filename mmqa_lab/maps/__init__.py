@@ -7,8 +7,7 @@ size of the tiles. ``dataset["f"].plot()`` draws a figure.
 """
 
 from mmqa_lab.maps.campaign import map_campaign, open_map
-from mmqa_lab.maps.cells import FIGURES, map_cloud
-from mmqa_lab.maps.files import ENDINGS, placed, summarise, write_map
+from mmqa_lab.maps.cells import ENDINGS, FIGURES, map_cloud, placed, summarise, write_map
 
 __all__ = [
     "ENDINGS", "FIGURES", "map_campaign", "map_cloud", "open_map", "placed", "summarise",

@@ -32,8 +32,7 @@ from mmqa_lab._checks import (
 from mmqa_lab.chart_cloud.evaluate import step_of
 from mmqa_lab.cloud import cells_of, extent, sort_into_cells
 from mmqa_lab.io import LAS_ENDINGS, iterate_cloud, own_folder, write_atomically
-from mmqa_lab.maps.cells import check_extent, chosen_metrics, dataset_of, evaluated_cells
-from mmqa_lab.maps.files import placed
+from mmqa_lab.maps.cells import check_extent, chosen_metrics, dataset_of, evaluated_cells, placed
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -1,14 +1,17 @@
-"""The figures of a chart in square cells of a cloud in memory."""
+"""The figures of a chart in square cells of a cloud, as quantiles, NetCDF and GeoTIFF."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Mapping
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import (
+    check_choice,
     check_known,
     check_points,
     check_positive,
@@ -16,16 +19,19 @@ from mmqa_lab._checks import (
 from mmqa_lab.chart_cloud.doubts import COARSE_MM, PAIRS, is_below_step, is_coarse
 from mmqa_lab.chart_cloud.evaluate import plan_chart, step_of
 from mmqa_lab.cloud import ON_BORDER, cells_of, extent, sort_into_cells, unit_remarks
+from mmqa_lab.io import write_atomically, write_raster
 from mmqa_lab.metrics import METRICS
 from mmqa_lab.planes import CONSISTENT_SCALE
 from mmqa_lab.spacing import quadrant_distances
 from mmqa_lab.spacing.empty import STEPS
 
+__all__ = ["FIGURES", "map_cloud", "placed", "summarise", "write_map"]
+__dir__ = __all__.copy
+
+
 if TYPE_CHECKING:
     import xarray as xr
     from numpy.typing import ArrayLike
-
-__all__ = ["FIGURES", "map_cloud"]
 
 FIGURES = {
     "n": ("1", "points in the cell"),
@@ -51,6 +57,14 @@ CELL_PLACES = np.outer(np.arange(1, 31), STEPS) % 1
 
 # Most cells in the rectangle of a map, 8 GB: 5 km x 5 km for cells of half a metre.
 MOST_MAP_CELLS = 1e8
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+ENDINGS = (".nc", ".tif")
+"""Endings of maps: NetCDF and GeoTIFF."""
+
+QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 
 def map_cloud(
@@ -249,3 +263,69 @@ def _remarks(medians, step_mm, below, same, count):
         (same, f"{share}: they raise the density."),
     )
     return [sentence for holds, sentence in remarks if holds]
+
+
+def placed(dataset: xr.Dataset, crs: Any) -> xr.Dataset:
+    """Return a map with its coordinate reference system, as the CF conventions write it."""
+    import pyproj
+
+    mapping = {"grid_mapping": "spatial_ref"}
+    figures = {name: figure.assign_attrs(mapping) for name, figure in dataset.items()}
+    return dataset.assign(figures).assign_coords(spatial_ref=((), 0, pyproj.CRS(crs).to_cf()))
+
+
+def summarise(dataset: xr.Dataset) -> pd.DataFrame:
+    """Return quantiles of each figure over the cells.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        From :func:`map_cloud` or :func:`open_map`.
+
+    Returns
+    -------
+    DataFrame
+        A row for each figure: ``figure``, ``unit``, ``n`` (cells with a value), ``q05`` to ``q95``.
+    """
+    names = [name for name in dataset if name != "n"]
+    cells = dataset[names].to_dataframe()[names]
+    table = cells.quantile(QUANTILES).T.set_axis([f"q{100 * q:02.0f}" for q in QUANTILES], axis=1)
+    table.insert(0, "n", cells.count())
+    units = [dataset[name].attrs["units"] for name in names]
+    table.insert(0, "unit", ["points/m2" if unit == "m-2" else unit for unit in units])
+    return table.rename_axis("figure").reset_index()
+
+
+def write_map(path: str | os.PathLike, dataset: xr.Dataset) -> None:
+    """Write a map as NetCDF (``.nc``) or GeoTIFF (``.tif``, a band for each figure).
+
+    Parameters
+    ----------
+    path : path
+        The file to write.
+    dataset : Dataset
+        From :func:`map_cloud` or :func:`open_map`.
+
+    Raises
+    ------
+    ValueError
+        If the ending is neither of these, if another kind of file is there, or if a GeoTIFF would
+        lack a coordinate system.
+    """
+    path = Path(path)
+    if check_choice(path.suffix.lower(), f"map {path} with ending", ENDINGS) == ".nc":
+        write_atomically(path, lambda file: dataset.to_netcdf(file, engine="scipy"))
+        return
+    if "spatial_ref" not in dataset.coords:
+        raise ValueError(f"Invalid map {path}: no coordinate system in the files. Must be .nc.")
+    import pyproj
+
+    cell = dataset.attrs["cell_m"]
+    write_raster(
+        path,
+        {str(name): dataset[name].values[::-1] for name in dataset},
+        corner=(float(dataset["x"][0]) - cell / 2, float(dataset["y"][-1]) + cell / 2),
+        cell=cell,
+        crs=pyproj.CRS(dataset["spatial_ref"].attrs["crs_wkt"]),
+        units=[dataset[name].attrs.get("units", "") for name in dataset],
+    )

@@ -1,14 +1,11 @@
 """Resolution in images: edges, Siemens stars, bars, and sharpness without targets.
 
 All take an array of grey values in proportion to light. Lengths in pixels, frequencies in cycles
-per pixel. A file a subject: :mod:`mmqa_lab.mtf.edges`, :mod:`mmqa_lab.mtf.stars`,
-:mod:`mmqa_lab.mtf.bars`, :mod:`mmqa_lab.mtf.sharpness`; what speaks against an edge or a star is in
-``edge_doubts`` and ``star_doubts``.
+per pixel. What speaks against an edge or a star is in ``doubts``.
 """
 
-from mmqa_lab.mtf.bars import read_bars, resolving_power
 from mmqa_lab.mtf.edges import EdgeResponse, fit_edge
-from mmqa_lab.mtf.sharpness import haar_sharpness
+from mmqa_lab.mtf.sharpness import haar_sharpness, read_bars, resolving_power
 from mmqa_lab.mtf.stars import StarMtf, measure_star
 
 __all__ = [

@@ -4,25 +4,49 @@ The estimate of ISO 12233 is the default: pixels in bins of a quarter pixel over
 the edge, derivative, window, Fourier transform. Beside it stand sigmoids with one width, as in
 EuroSDR 2013, image radiometry, section 5.1 and Table 4 (the report does not print the shape of its
 sigmoid): a square pixel behind a Gaussian, and the logistic function.
+
+Where an edge lies: its line, the sigmoid across it, the light on both of its sides.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
 from scipy.special import expit
 
 from mmqa_lab._checks import check_choice, check_image, refuse
 from mmqa_lab._results import Shown, about
-from mmqa_lab.mtf.edge_doubts import check, remarks_on
-from mmqa_lab.mtf.edge_line import fit_line
-from mmqa_lab.mtf.edge_profile import by_bins, full_width
-from mmqa_lab.mtf.transfer import FREQUENCIES, crossing, spread_edge
+from mmqa_lab.mtf.doubts import check, remarks_on
+from mmqa_lab.mtf.transfer import (
+    FREQUENCIES,
+    SIGMOID_PX,
+    by_bins,
+    crossing,
+    full_width,
+    profile,
+    spread_edge,
+)
 
-__all__ = ["EdgeResponse", "fit_edge"]
+__all__ = ["EdgeFit", "EdgeResponse", "fit_edge", "fit_line"]
 __dir__ = __all__.copy
+
+
+FARTHEST_PX, FARTHEST_SPREADS = 60.0, 24.0
+"""Pixels farther from the line are not used: at first, and in spreads of the edge."""
+
+UNEVEN, FAINT = 4.5, 0.003
+"""Standard errors from which a slope of the light is taken out; least noise, over all contrast."""
+
+LARGEST_TAIL = 0.5
+"""What is missing of a level, times the distance from the edge, over its spread and the step."""
+
+HOT, HOT_STEP = 6.0, 0.1
+"""Deviations, and share of the step, from which a pixel is left out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,3 +171,188 @@ def _by_sigmoid(fit, shape):
     sigma = mtf50 * fit.log_width_sigma  # a little too large: the pixel's width has no error
     known = {"distance_px": places, "lsf": lsf, "mtf": mtf, "fwhm_px": full_width(places, lsf)}
     return known | {"mtf50": mtf50, "mtf50_sigma": sigma}
+
+
+@dataclass(frozen=True)
+class EdgeFit:
+    """Pixels beside an edge, in shares of its step, and the sigmoid of one width that fits best.
+
+    Distances from the line and places along it in pixels; ``grey``: values before the light was
+    made even; ``residuals``: what the sigmoid leaves; the step in grey values; ``rounding``: the
+    distance of grey values that occur, over the step; ``hot``: count of pixels left out.
+    """
+
+    distance: np.ndarray
+    along: np.ndarray
+    values: np.ndarray
+    grey: np.ndarray
+    residuals: np.ndarray
+    noise: np.ndarray
+    angle: float
+    width: float
+    log_width_sigma: float
+    step: float
+    rounding: float
+    hot: int
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation of the edge's Gaussian and the pixel together."""
+        return float(np.hypot(self.width, 12**-0.5))
+
+    @property
+    def length(self) -> float:
+        """Of the edge, pixels."""
+        return float(np.ptp(self.along))
+
+    @cached_property
+    def bins(self) -> tuple:
+        """Places, means and counts of the profile's bins, and the variance within them."""
+        return profile(self.distance, self.values)
+
+    @cached_property
+    def grain(self) -> float:
+        """Noise of a pixel: what differs within bins."""
+        return float(np.sqrt(profile(self.distance, self.residuals)[3]))
+
+    @property
+    def rounded_alike(self) -> bool:
+        """Whether noise is too small to even out the rounding of grey values."""
+        return self.grain < self.rounding / 2
+
+
+def fit_line(image, shape):
+    """The line of an image's edge, its width, and the pixels beside it under even light.
+
+    ``shape``: the sigmoid, a function of distance, width and angle.
+    """
+    unit = float(np.ptp(image)) or 1.0
+    scaled = (image - image.min()) / unit
+    values, (across, along, angle) = scaled.ravel(), _line(scaled)
+    alone = np.abs(scaled - cv2.medianBlur(np.float32(scaled), 3)).ravel() > HOT_STEP / 2
+    near = np.abs(across) <= FARTHEST_PX
+    across, along, values = across[near], along[near], values[near]
+    across, width, *_ = _sigmoid(across, along, values, angle, shape)
+    kept = _plausible(across, values) | ~alone[near]
+    hot = int((~kept).sum())
+    near = kept & (np.abs(across) <= FARTHEST_SPREADS * np.hypot(width, 0.3) + 6)
+    across, along, values = across[near], along[near], values[near]
+    even, step = _under_even_light(across, along, values, np.hypot(width, 12**-0.5))
+    across, width, sigma, left = _sigmoid(across, along, even, angle, shape, width)
+    noise = _noise(across, even, np.hypot(width, 12**-0.5))
+    pixels = across, along, even, values / step, left, noise
+    rounding = float(np.diff(np.unique(scaled)).min(initial=np.inf)) / step
+    return EdgeFit(*pixels, angle, width, sigma, step * unit, rounding, hot)
+
+
+def _line(image):
+    """Distance of all pixels from the edge and place along it, and the angle of its normal.
+
+    Steep pixels weigh most: first their gradients say how the edge is turned, then a straight line
+    is fitted to their places, of fewer and fewer about it.
+    """
+    smooth = cv2.GaussianBlur(image, (0, 0), 1.5)
+    by_y, by_x = np.gradient(smooth)
+    size = np.hypot(by_x, by_y)
+    angle = np.arctan2((size * by_y).sum(), (size * by_x).sum())
+    y, x = (part.ravel() - part.mean() for part in np.indices(image.shape, dtype=float))
+    by_x, by_y, offset = by_x.ravel(), by_y.ravel(), None
+    for reach in (40.0, 20.0, 10.0, 6.0, 6.0, 6.0):
+        c, s = np.cos(angle), np.sin(angle)
+        across, along = x * c + y * s, y * c - x * s
+        weight = np.clip(by_x * c + by_y * s, 0, None) ** 2
+        if offset is None:
+            total = np.bincount(np.round(across - across.min()).astype(int), weight)
+            offset = np.argmax(np.convolve(total, np.ones(5), "same")) + across.min()
+        weight *= np.clip(1 - ((across - offset) / reach) ** 2, 0, None)
+        few = (weight > 0).sum() < 5 or not weight.sum() > 0
+        refuse(few, "image", "no edge from side to side", "one that shows one")
+        slope, offset = np.polyfit(along, across, 1, w=np.sqrt(weight))
+        angle -= np.arctan(slope)
+        offset *= np.cos(np.arctan(slope))
+    c, s = np.cos(angle), np.sin(angle)
+    return x * c + y * s - offset, y * c - x * s, float(angle)
+
+
+def _sigmoid(across, along, values, angle, shape, width=1.0):
+    """Distances from the line of the best sigmoid, its width, deviation of its log, residuals."""
+    half = np.abs(along).max()
+    scale = max(float(np.ptp(values)), 1e-12) / 10
+
+    def left(known):
+        """What a sigmoid of two levels about a line leaves of the grey values."""
+        step = shape(across - known[0] - known[1] * along / half, np.exp(known[2]), angle)
+        step = step - step.mean()
+        square = step @ step
+        return values - values.mean() - step * ((step @ values) / max(square, 1e-12))
+
+    limits = np.log(SIGMOID_PX)
+    ends = [-5, -5, limits[0]], [5, 5, limits[1]]
+    how = {"bounds": ends, "loss": "soft_l1", "f_scale": scale, "x_scale": [1, 1, 0.3]}
+    how |= {"ftol": 1e-6, "xtol": 1e-6}
+    found = least_squares(left, [0, 0, np.log(width)], **how)
+    residuals = left(found.x)
+    covariance = np.linalg.pinv(found.jac.T @ found.jac) * np.mean(residuals**2)
+    across = across - found.x[0] - found.x[1] * along / half
+    return across, float(np.exp(found.x[2])), float(np.sqrt(covariance[2, 2])), residuals
+
+
+def _plausible(across, values):
+    """Which pixels lie near the median of those at the same distance, as no hot pixel does."""
+    place = np.round(2 * across).astype(int)
+    place -= place.min()
+    order = np.lexsort((values, place))
+    count = np.bincount(place)
+    first = np.cumsum(count) - count
+    median = values[order][first + count // 2 - (count == 0)]
+    left = np.abs(values - median[place])
+    steep = np.abs(np.gradient(median))[place]
+    usual = max(np.median(left[side * across > 0]) for side in (-1, 1)) / 0.6745
+    return left <= max(HOT * usual, HOT_STEP * np.ptp(median)) + steep
+
+
+def _under_even_light(across, along, values, spread):
+    """Values in shares of the step at their place, and the step in the middle.
+
+    A plane on either side: a level, slopes along and across where they stand out, and the tail of a
+    lens, which falls with the inverse of the distance.
+    """
+    least = (FAINT * float(np.ptp(values))) ** 2
+    largest, levels = LARGEST_TAIL * spread * float(np.ptp(values)), []
+    for side in (-1, 1):
+        far = side * across > 4 * spread + 1
+        if far.sum() < 20:
+            far = side * across > 0
+        place, seen = across[far], values[far]
+        terms = np.column_stack([np.ones_like(place), along[far], place, -side / (side * place)])
+        used = np.arange(4 if np.ptp(place) > 10 else 2)
+        while True:
+            inverse = np.linalg.pinv(terms[:, used].T @ terms[:, used])
+            known = inverse @ (terms[:, used].T @ seen)
+            left = seen - terms[:, used] @ known
+            noise = max(left @ left / max(len(left) - len(used), 1), least)
+            clear = np.abs(known[1:]) / np.sqrt(noise * np.diag(inverse)[1:])
+            # light that sharpening adds, or a second edge, is no tail
+            odd = np.abs(known[1:] / largest - 0.5) > 0.5
+            clear[(used[1:] == 3) & odd] = 0
+            if not len(clear) or clear.min() > UNEVEN:
+                break
+            used = np.delete(used, 1 + np.argmin(clear))
+        plane = np.zeros(4)
+        plane[used] = known
+        levels.append(plane[0] + plane[1] * along + plane[2] * across)
+    low, high = levels
+    step = float(np.median(high - low))
+    refuse(not step > 0, "image", "no edge from side to side", "one that shows one")
+    return (values - low) / (high - low), step
+
+
+def _noise(across, values, spread):
+    """Standard deviation of each pixel's noise, from that of both sides."""
+    sides = []
+    for side in (-1, 1):
+        far = side * across > 4 * spread + 1
+        seen = values[far] if far.sum() > 10 else values[side * across > spread]
+        sides.append(float(seen.std()) if len(seen) > 1 else 0.0)
+    both = np.maximum(sides, max(max(sides) / 10, 1e-6))
+    return np.sqrt(np.interp(across, [-spread, spread], both**2))

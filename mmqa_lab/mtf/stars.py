@@ -16,7 +16,7 @@ from scipy.optimize import least_squares, minimize_scalar
 
 from mmqa_lab._checks import check_count, check_image, check_number, check_positive, refuse
 from mmqa_lab._results import Shown, about
-from mmqa_lab.mtf.star_doubts import STAR_PARTS, check_cycles, clipped_side, remarks_on
+from mmqa_lab.mtf.doubts import STAR_PARTS, check_cycles, clipped_side, remarks_on_star
 from mmqa_lab.mtf.transfer import FITTED_TRANSFERS, FREQUENCIES, SIGMOID_PX, crossing, lens_mtf
 
 __all__ = ["StarMtf", "measure_star"]
@@ -223,7 +223,7 @@ def measure_star(
     waves_seen = _harmonics(pixels, place, n, outer)
     model = np.abs(lens(frequency))
     beyond = float((scale * amplitude - model)[model > LEAST_CONTRAST].max(initial=0))
-    remarks = remarks_on(waves, clipped, waves_seen, square, beyond)
+    remarks = remarks_on_star(waves, clipped, waves_seen, square, beyond)
     known = {"centre": centre, "tilt_deg": _tilt(place), "remarks": remarks}
     return StarMtf(frequency, scale * amplitude, scale * std, rings, **known)
 

@@ -8,7 +8,6 @@ as walls and roads, and leave their detection to a companion paper.
 """
 
 from mmqa_lab.plane_search.detection import PlanePart, detect_planes, usual_size
-from mmqa_lab.plane_search.grid import Grid
-from mmqa_lab.plane_search.growth import CELLS_PER_SIZE
+from mmqa_lab.plane_search.growth import CELLS_PER_SIZE, Grid
 
 __all__ = ["CELLS_PER_SIZE", "Grid", "PlanePart", "detect_planes", "usual_size"]

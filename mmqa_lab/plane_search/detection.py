@@ -13,11 +13,11 @@ from scipy.special import lambertw
 from mmqa_lab._checks import check_points, check_positive
 from mmqa_lab._compiled import in_threads
 from mmqa_lab.cloud import extent, sort_into_cells
-from mmqa_lab.plane_search.grid import Grid
 from mmqa_lab.plane_search.growth import (
     CELLS_PER_SIZE,
     LEAST_AREA,
     LEAST_TRIAL,
+    Grid,
     assign,
     grow,
     try_planes,

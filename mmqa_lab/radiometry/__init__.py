@@ -2,8 +2,8 @@
 
 EuroSDR 2013, image radiometry (project "Radiometric aspects of digital photogrammetric images",
 2008-2011, Honkavaara et al.). A file a step of the report: DN to radiance (``sensor``: equations 2
-and 3), ``reflectance`` (equation 4, empirical line, NDVI), ``anisotropy``, and one adjustment of
-overlapping images (``blocks``; its model and its doubts are in files of their own). Resolution is
+and 3), ``reflectance`` (equation 4, empirical line, NDVI, anisotropy), and one adjustment of
+overlapping images (``blocks``). Resolution is
 in ``mmqa_lab.mtf``. The sum of radiances at the sensor (equation 1) is simulated in
 ``mmqa_lab.simulate.targets``. Equation 5 defines a bidirectional reflectance and is no model; the
 model here is Walthall's, which the report names only where it describes the software XPro (a
@@ -14,11 +14,12 @@ the camera looks at the ground with the sun behind it (backward scattering) and 
 against the sun.
 """
 
-from mmqa_lab.radiometry.anisotropy import WalthallFit, fit_walthall
 from mmqa_lab.radiometry.blocks import BlockAdjustment, adjust_block
 from mmqa_lab.radiometry.reflectance import (
     EmpiricalLine,
+    WalthallFit,
     empirical_line,
+    fit_walthall,
     ndvi,
     reflectance_factor,
 )

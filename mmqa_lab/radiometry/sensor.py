@@ -28,7 +28,7 @@ from mmqa_lab._checks import (
     refuse,
 )
 from mmqa_lab._results import Shown, sentences
-from mmqa_lab.radiometry.line_doubts import odd_target, unlikely_term
+from mmqa_lab.radiometry.doubts import odd_target, unlikely_term
 
 __all__ = [
     "SensorFit", "coarse_pairs", "fit_sensor", "patch_statistics", "relative_exposure",

@@ -5,7 +5,6 @@ from mmqa_lab._checks import needs
 for part in ("IPython", "nbformat", "nbclient", "nbconvert", "jinja2", "latex2mathml"):
     needs("lab", part)
 
-from mmqa_lab.run.records import parameter_names, read_record, verdict, write_record
-from mmqa_lab.run.results import Run
+from mmqa_lab.run.results import Run, parameter_names, read_record, verdict, write_record
 
 __all__ = ["Run", "parameter_names", "read_record", "verdict", "write_record"]

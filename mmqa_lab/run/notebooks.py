@@ -23,7 +23,7 @@ from mmqa_lab.io import write_atomically
 from mmqa_lab.metrics.supports import CURVES
 from mmqa_lab.published.ledger import collect, summary
 from mmqa_lab.run.pages import ANSWERS, LEDGER, notebook_page, stored_answers
-from mmqa_lab.run.records import new_record, read_record, write_record
+from mmqa_lab.run.results import new_record, read_record, write_record
 from mmqa_lab.run.speed import TIMES, stored_seconds
 
 __all__ = ["ENVIRONMENT", "code_hash", "execute", "inject", "run_study", "store"]

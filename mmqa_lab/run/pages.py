@@ -26,7 +26,7 @@ from mmqa_lab import __version__
 from mmqa_lab._results import digits, printed
 from mmqa_lab.io import write_atomically
 from mmqa_lab.published import ledger
-from mmqa_lab.run.records import read_record, verdict
+from mmqa_lab.run.results import read_record, verdict
 from mmqa_lab.studies import notebooks_folder
 
 __all__ = [

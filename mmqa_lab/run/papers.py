@@ -16,7 +16,7 @@ from mmqa_lab.bench import heading
 from mmqa_lab.io import write_atomically
 from mmqa_lab.run.pages import TEMPLATES
 from mmqa_lab.run.quotes import escaped, quoted_name
-from mmqa_lab.run.records import read_record
+from mmqa_lab.run.results import read_record
 from mmqa_lab.studies import Study
 
 __all__ = ["RUNS", "make_paper", "new_paper", "quoted_files"]

@@ -12,12 +12,11 @@ Example::
     lattice = scan_lattice(setup, Target(heading_deg=15, range_m=5))
     lattice.profile_spacing_horizontal_m, lattice.density_per_m2, lattice.f
 
-``planning`` has the largest speed, ``errors`` what errors of the inputs do, ``measure`` measured
+``planning`` has the largest speed and what errors of the inputs do, ``measure`` measured
 patterns, ``mimic`` the paper's own equations, ``setup`` the frame and the signs.
 """
 
 from mmqa_lab.scan_pattern import mimic
-from mmqa_lab.scan_pattern.errors import explain_error, propagate
 from mmqa_lab.scan_pattern.lattice import (
     LATTICE_QUANTITIES,
     Lattice,
@@ -26,7 +25,7 @@ from mmqa_lab.scan_pattern.lattice import (
     scan_lattice,
 )
 from mmqa_lab.scan_pattern.measure import measure_pattern, revolutions_from_time
-from mmqa_lab.scan_pattern.planning import largest_speed, speeds
+from mmqa_lab.scan_pattern.planning import explain_error, largest_speed, propagate, speeds
 from mmqa_lab.scan_pattern.setup import Patch, ScanSetup, Target
 
 __all__ = [

@@ -17,9 +17,15 @@ from numpy.typing import ArrayLike
 from mmqa_lab._checks import check_points
 from mmqa_lab._results import NORMAL, Shown, about
 from mmqa_lab.planes import TUKEY, fit_plane, sigma_mad
-from mmqa_lab.scan_pattern.groups import group_means, solve_groups, solved
 from mmqa_lab.scan_pattern.mimic import LEVEL
-from mmqa_lab.scan_pattern.timing import mirror_frequency, pulse_period, revolutions_from_time
+from mmqa_lab.scan_pattern.timing import (
+    group_means,
+    mirror_frequency,
+    pulse_period,
+    revolutions_from_time,
+    solve_groups,
+    solved,
+)
 from mmqa_lab.stats import student_reach
 
 __all__ = [

@@ -1,20 +1,20 @@
-"""Profiles and pulses counted by the times of points."""
+"""Profiles and pulses counted by the times of points, by least squares of groups."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mmqa_lab.scan_pattern.groups import solve_groups
-
-__all__ = ["mirror_frequency", "pulse_period", "revolutions_from_time"]
+__all__ = [
+    "group_means", "mirror_frequency", "pulse_period", "revolutions_from_time", "solve_groups",
+    "solved",
+]  # fmt: skip
+__dir__ = __all__.copy
 
 
 PAUSE = 20  # longer pauses, in typical time steps, separate runs of points
 
-
 FEW_RUNS = 16  # number of runs whose beginnings are compared for the period
-
 
 TIES = 0.02  # share of neighbours of equal time above which a clock is too coarse for pulses
 
@@ -115,3 +115,37 @@ def _longest_pause(since, frequency):
     pause = np.diff(np.append(phase, phase[0] + 1))
     longest = np.argmax(pause)
     return pause[longest], phase[longest] + pause[longest] / 2
+
+
+def solved(products, sums):
+    """Solutions (..., k) of normal equations; a term without spread gets the coefficient 0."""
+    scale = np.sqrt(np.diagonal(products, axis1=-2, axis2=-1))
+    scale = np.where(scale <= 1e-9 * scale.max(axis=-1, keepdims=True), np.inf, scale)
+    even = products / scale[..., None] / scale[..., None, :]
+    solved = np.linalg.pinv(even, rcond=1e-12) @ (sums / scale)[..., None]
+    return solved[..., 0] / scale
+
+
+def solve_groups(
+    terms: np.ndarray, values: np.ndarray, group: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Least squares of values (n,) on shared terms (n, k) and a constant per group (n,).
+
+    A term without spread (distances from a plane without noise) gets the coefficient 0.
+
+    Returns
+    -------
+    tuple of array
+        Coefficients (k,), constants of the groups (m,), residuals (n,).
+    """
+    means, level = group_means(terms, group), group_means(values, group)
+    about, target = terms - means[group], values - level[group]
+    found = solved(about.T @ about, about.T @ target)
+    return found, level - means @ found, target - about @ found
+
+
+def group_means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Means over groups of values (n,) or of rows (n, k): shape (m,) or (m, k)."""
+    if values.ndim == 2:
+        return np.stack([group_means(column, group) for column in values.T], axis=1)
+    return np.bincount(group, values) / np.bincount(group)

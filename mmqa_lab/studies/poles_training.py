@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab.poles import learned
-from mmqa_lab.poles.trees import FILE
+from mmqa_lab.poles.learned import FILE
 from mmqa_lab.simulate import PRESETS, Scene, streets, surfaces
 from mmqa_lab.simulate.surfaces import box, cylinder, rectangle
 

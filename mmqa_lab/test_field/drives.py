@@ -1,4 +1,4 @@
-"""Drives of a cloud, thinned points, and errors over the distance from the path."""
+"""Drives of a cloud, errors over the distance from the path, and figures of errors."""
 
 from __future__ import annotations
 
@@ -7,9 +7,14 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_points, check_positive, check_row, check_together, refuse
-from mmqa_lab.stats import student_reach
+from mmqa_lab.stats import errors, mean_reach, student_reach
 
-__all__ = ["split_drives", "thinned", "trend"]
+__all__ = ["GROSS", "LEAST_GROSS_M", "figures", "mean_ends", "split_drives", "thinned", "trend"]
+__dir__ = __all__.copy
+
+
+GROSS, LEAST_GROSS_M = 5.0, 0.01
+"""Gross errors are farther than this many NMAD, and farther than 1 cm, from the median."""
 
 
 def split_drives(gps_time: ArrayLike, *, gap_s: float = 3600.0) -> np.ndarray:
@@ -117,3 +122,24 @@ def trend(distance: ArrayLike, values: ArrayLike) -> pd.Series:
     half = student_reach(line.stderr, len(values) - 2)
     found = {"slope": line.slope, "intercept": line.intercept, "slope_low": line.slope - half}
     return pd.Series(found | {"slope_high": line.slope + half, "p": line.pvalue, "n": len(values)})
+
+
+def figures(values, block):
+    """The figures that heights and distances in plan share; a series of values in mm."""
+    found = errors(values)
+    share = mean_reach(values**2, block) / np.maximum(found.rmse**2, 1e-300) / 2
+    return {
+        "mean_mm": round(found.bias, 9) + 0.0,  # never -0
+        "min_mm": values.min(),
+        "max_mm": values.max(),
+        "std_mm": found.std,
+        "rmse_mm": found.rmse,
+        "rmse_low_mm": found.rmse * np.exp(-share),
+        "rmse_high_mm": found.rmse * np.exp(share),
+    }
+
+
+def mean_ends(name, values, block):
+    """The 95 % interval of a mean, mm."""
+    mean, reach = errors(values).bias, mean_reach(values, block)
+    return {f"{name}_low_mm": mean - reach, f"{name}_high_mm": mean + reach}

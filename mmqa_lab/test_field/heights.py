@@ -12,7 +12,7 @@ from mmqa_lab._checks import check_columns, check_number, check_points, check_po
 from mmqa_lab._results import sentences
 from mmqa_lab.spacing import block_numbers
 from mmqa_lab.stats import errors
-from mmqa_lab.test_field.figures import GROSS, LEAST_GROSS_M, figures, mean_ends
+from mmqa_lab.test_field.drives import GROSS, LEAST_GROSS_M, figures, mean_ends
 
 __all__ = ["compare_heights", "height_accuracy", "height_differences"]
 

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from mmqa_lab._checks import check_choice, check_columns, check_points
 from mmqa_lab.planes import fit_circle, fit_line
 from mmqa_lab.stats import errors
-from mmqa_lab.test_field.figures import GROSS, LEAST_GROSS_M, figures, mean_ends
+from mmqa_lab.test_field.drives import GROSS, LEAST_GROSS_M, figures, mean_ends
 
 __all__ = [
     "FEWEST_ON_CIRCLE", "POLE_SEARCH_M", "REPORT_SLICES", "SLICES", "plan_accuracy",

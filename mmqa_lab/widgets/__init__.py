@@ -7,9 +7,8 @@ from mmqa_lab._checks import needs
 
 needs("lab", "ipywidgets")
 
-from mmqa_lab.widgets.explorers import choice, explore, slider
 from mmqa_lab.widgets.jury import JuryForm
-from mmqa_lab.widgets.screen import Halt
+from mmqa_lab.widgets.screen import Halt, choice, explore, slider
 from mmqa_lab.widgets.selection import SelectionTool
 from mmqa_lab.widgets.surfaces import SurfaceTool
 

@@ -22,13 +22,22 @@ from numpy.typing import ArrayLike
 from mmqa_lab import plots
 from mmqa_lab._checks import check_points, check_polygon
 from mmqa_lab.chart_cloud import CloudQuality, evaluate_cloud, inside_polygon
-from mmqa_lab.chart_cloud.parts import part_off
+from mmqa_lab.chart_cloud.doubts import part_off
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.planes import CONSISTENT_SCALE, fit_plane
 from mmqa_lab.views import is_headless
-from mmqa_lab.widgets.explorers import slider
-from mmqa_lab.widgets.polygons import SHOWN, corners_of, largest_rectangle
-from mmqa_lab.widgets.screen import SPOKEN, WIDE, canvas_of, forget_zoom, in_turn, labelled
+from mmqa_lab.widgets.screen import (
+    SHOWN,
+    SPOKEN,
+    WIDE,
+    canvas_of,
+    corners_of,
+    forget_zoom,
+    in_turn,
+    labelled,
+    largest_rectangle,
+    slider,
+)
 
 __all__ = ["MISSED", "SelectionTool"]
 
