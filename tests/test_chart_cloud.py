@@ -16,7 +16,6 @@ from mmqa_lab.chart_cloud import (
     evaluate,
     evaluate_cloud,
     inside_polygon,
-    selection,
 )
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io import read_cloud, write_cloud
@@ -317,7 +316,7 @@ def test_points_are_checked_once_on_their_way(monkeypatch):
         checked.append(len(points))
         return check_points(points, **choices)
 
-    for room in (evaluate, selection, planes, empty):
+    for room in (evaluate, planes, empty):
         monkeypatch.setattr(room, "check_points", counted)
     points = np.random.default_rng(3).random((400, 3)) * [3, 1, 0.002]
     evaluate_cloud(points, rho0=3000.0)

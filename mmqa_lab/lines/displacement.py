@@ -12,9 +12,6 @@ vertical.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
-from itertools import islice
-from operator import itemgetter
 
 import numpy as np
 import pandas as pd
@@ -23,32 +20,11 @@ from scipy import stats
 
 from mmqa_lab._checks import check_number
 from mmqa_lab._results import Shown, about, sentences
+from mmqa_lab.lines.displacement_search import MOST_RADIUS_M, TURN_RAD, matched
 from mmqa_lab.lines.pairing import check_pairs, levers, paired
-from mmqa_lab.lines.paths import (
-    CHANGE,
-    CHANGED_M,
-    FEW_EVIDENCE,
-    FEW_SHARE,
-    FINE_RADIUS_M,
-    LEAST_EVIDENCE,
-    LEAST_VOTES,
-    MOST_PATHS,
-    MOST_RADIUS_M,
-    MOST_RIVAL,
-    PATHS,
-    RIVAL,
-    TURN_RAD,
-    TURNS,
-    Search,
-    refined,
-    together,
-)
 from mmqa_lab.lines.segments import (
     check_segments,
-    components,
     from_common_origin,
-    lengths,
-    midpoints,
 )
 
 __all__ = ["Displacement", "fit_displacement", "match_displaced"]
@@ -207,8 +183,7 @@ def match_displaced(test: ArrayLike, model: ArrayLike, *, radius: float = 4.0) -
     displacements that bring it to a model line. The best three paths of the displacement through
     these votes are compared, since rows of equal windows also agree a window aside. Pairs count by
     how near they are and how well their ends agree. There is no answer if two paths explain nearly
-    as much. Settings were chosen on simulated canyons and rows
-    of windows whose seeds differ from the reported seeds. The idea comes from line-based
+    as much. The idea comes from line-based
     registration (Poreba & Goulette 2015). The distance of the 2013 paper still uses the original
     coordinates.
 
@@ -227,7 +202,7 @@ def match_displaced(test: ArrayLike, model: ArrayLike, *, radius: float = 4.0) -
     pairs, remark = np.zeros((len(test), len(model)), dtype=bool), "Fewer than three lines."
     if len(test) >= 3 and len(model):
         rows, columns = _distinct(test), _distinct(model)
-        pairs[np.ix_(rows, columns)], remark = _matched(test[rows], model[columns], radius)
+        pairs[np.ix_(rows, columns)], remark = matched(test[rows], model[columns], radius)
     return replace(fit_displacement(test, model, pairs), remarks=sentences((remark, remark)))
 
 
@@ -236,60 +211,3 @@ def _distinct(segments):
     sizes = segments @ np.sqrt([1, 2, 3])
     turned = np.where((sizes[:, 0] > sizes[:, 1])[:, None, None], segments[:, ::-1], segments)
     return np.unique(turned, axis=0, return_index=True)[1]
-
-
-def _matched(test, model, radius):
-    """Pairs of the displacement that unites most lines, none if it does not stand out; a remark."""
-    lines = _candidates(test, model, radius)
-    none = np.zeros(lines.shape, dtype=bool)
-    if len(lines.rows) < 3:
-        return none, f"Fewer than three lines have a parallel one within {radius:g} m."
-    outcomes = _outcomes(lines, Search(lines, radius))
-    # the others are rivals alone: of many paths one agrees by chance
-    evidence, found, ends = max(outcomes[: PATHS * len(TURNS)], key=itemgetter(0))
-    number, fewer = found.sum(), min(lines.shape)
-    rivals = [other for other, them, _ in outcomes if (them & found).sum() < number / 2]
-    share = found.any(axis=1).sum() / fewer
-    least = [number * max(LEAST_EVIDENCE, few - less * share) for few, less in FEW_EVIDENCE]
-    if evidence - ends <= least[0] and evidence <= least[1]:
-        return none, f"The displacement that unites most lines, {number} of {fewer}, may be chance."
-    if max(rivals, default=0) > evidence * min(RIVAL + share, MOST_RIVAL):
-        return none, "Two displacements with other pairs explain the lines nearly as well."
-    few = f"Only {number} of {fewer} lines are paired: look at them." if share < FEW_SHARE else ""
-    return found, few
-
-
-def _outcomes(lines, search):
-    """Evidence, pairs and the ends' part of it for paths by votes, each with turns of its sides."""
-    found, best, most = [], (0.0, 0.0), 0.0
-    for number, (path, votes) in enumerate(islice(search.paths(), MOST_PATHS)):
-        most = max(most, votes)
-        if number >= PATHS and votes < LEAST_VOTES * most:
-            break
-        for turn in TURNS if number < PATHS else best[1:]:
-            found.append(refined(lines, _retraced(lines, search, path, turn)))
-            best = max(best, (found[-1][0], turn))
-    return found
-
-
-def _candidates(test, model, radius):
-    """Pairs of nearly parallel lines within the radius, or farther off the middle within reach."""
-    parts, size = components(test, model), (lengths(test)[:, None], lengths(model))
-    parallel = parts.angle < np.sin(np.radians(8)) * np.minimum(*size)
-    gap = np.abs(parts.shift) - (size[0] + size[1]) / 2
-    middles = midpoints(test)
-    off = np.linalg.norm(middles - middles[together(middles)].mean(axis=0), axis=1)
-    reach = radius + np.minimum(CHANGE * off, CHANGED_M)[:, None]
-    near = parallel & (parts.perpendicular < reach) & (gap < reach)
-    return paired(test, model, *np.nonzero(near))
-
-
-def _retraced(lines, search, path, turn):
-    """Displacement by the best finer path about the straight one next to a path."""
-    powers = np.vander(search.stations, 2)
-    straight = powers @ np.linalg.pinv(powers) @ path
-    again = lines.again(search.at(lines.place, straight, turn))
-    fine = Search(again, FINE_RADIUS_M, search.at(again.place, straight, turn))
-    around = np.pad(straight + next(fine.paths())[0], ((1, 1), (0, 0)), mode="edge")
-    smooth = (around[:-2] + 2 * around[1:-1] + around[2:]) / 4
-    return partial(search.at, path=smooth, turn=turn)

@@ -1,86 +1,125 @@
-"""The search for a displacement that changes along the set.
+"""The search for a displacement that changes along the set, in five steps.
 
-Its constants, and what each was chosen on:
-
-| constants | chosen on |
-|---|---|
-| TURN_RAD, CHANGE, USUAL_CHANGE, CHANGED_M, TURNS | drifts and turns of mobile scanners in print |
-| STEP_M to AGREE, MOST_RADIUS_M, MOST_VOTES | half the noise of lines; time and memory |
-| VOTE, FIRST_NOISE_M, CLUTTER_PER_M2, LEFT_M | simulated canyons of other seeds than the reported |
-| ENDS_AGREE, END_M, CLUTTER_ENDS_PER_M | gaps of ends in simulated rows of windows |
-| PATHS, ELSEWHERE_M | simulated canyons |
-| MOST_PATHS, LEAST_VOTES | equal bays, where three paths may be all one wrong answer |
-| LEAST_EVIDENCE, FEW_SHARE | canyons, and sets without any common line |
-| FEW_EVIDENCE, RIVAL, MOST_RIVAL | 300 rows of windows with few common lines: no score there |
+1. :func:`_candidates`: pairs of nearly parallel lines within reach.
+2. :class:`Search`: each test line votes near its place for the displacements that bring it to a
+   model line; the paths with most votes.
+3. :func:`_retraced`: each path again in finer steps about the straight line next to it.
+4. :func:`refined`: pairs and displacement in turns from there, and the evidence for the pairs.
+5. :func:`matched`: the path with most evidence, if no other explains nearly as much.
 """
 
 from __future__ import annotations
 
 import math
+from functools import partial
+from itertools import islice
+from operator import itemgetter
 
 import numpy as np
 
 from mmqa_lab._compiled import njit
 from mmqa_lab.lines.pairing import apart, levers, paired
-from mmqa_lab.lines.segments import midpoints
+from mmqa_lab.lines.segments import components, lengths, midpoints
 from mmqa_lab.rotations import across
 
-__all__ = [
-    "AGREE", "CHANGE", "CHANGED_M", "CLUTTER_ENDS_PER_M", "CLUTTER_PER_M2", "ELSEWHERE_M",
-    "ENDS_AGREE", "END_M", "FEW_EVIDENCE", "FEW_SHARE", "FINE_M", "FINE_RADIUS_M",
-    "FIRST_NOISE_M", "LEAST_EVIDENCE", "LEAST_VOTES", "LEFT_M", "MOST_PATHS", "MOST_RADIUS_M",
-    "MOST_RIVAL", "MOST_STATIONS", "MOST_VOTES", "PATHS", "RIVAL", "STATION_M", "STEP_M",
-    "TURNS", "TURN_RAD", "USUAL_CHANGE", "VOTE", "Search", "refined", "together",
-]  # fmt: skip
-__dir__ = __all__.copy
+__all__ = ["MOST_RADIUS_M", "TURN_RAD", "matched"]
 
+# Constants of a step, and what they were chosen on.
 
-# Prior standard deviation of the rotation about the vertical.
-TURN_RAD = np.radians(1.0)
+# 1, 2: drifts and turns of mobile scanners in print. Largest angle of paired lines; largest change
+# of the displacement with the distance from the middle (a turn of 3.4 degrees), its usual change
+# from station to station, m/m, and its largest change in all, m; standard deviation of a turn about
+# the vertical, and turns tried between the lines on both sides of the path.
+PARALLEL_RAD, CHANGE, USUAL_CHANGE, CHANGED_M = np.radians(8), 0.06, 0.05, 6.0
+TURN_RAD, TURNS = np.radians(1.0), np.radians([-3, -1.5, 0, 1.5, 3])
 
-# Steps of the displacements tried, first and about the path found, and how far from it.
+# 2, 3: half the noise of lines; time and memory. Steps of the displacements tried, first and about
+# the path found, and how far from it; distance of stations and their number; distance in steps
+# within which lines agree; largest radius, and number of votes that is kept in memory.
 STEP_M, FINE_M, FINE_RADIUS_M = 0.3, 0.15, 1.5
-
-# Distance of stations, their number, and the distance in steps within which lines agree.
 STATION_M, MOST_STATIONS, AGREE = 5.0, 60, 1.7
-
-# Largest radius, and number of votes at all stations that is kept in memory.
 MOST_RADIUS_M, MOST_VOTES = 20.0, 3e7
 
-# Largest change of the displacement with the distance from the middle (a turn of 3.4 degrees), its
-# usual change from station to station, m/m, and its largest change in all, m.
-CHANGE, USUAL_CHANGE, CHANGED_M = 0.06, 0.05, 6.0
+# 2, 4: simulated canyons of other seeds than the reported. Log likelihood ratio of one vote; noise
+# with which pairs are sought first; density of unrelated parallel lines; standard deviation of
+# drift that neighbours do not show; share of the shorter line that a true pair has in common.
+VOTE, FIRST_NOISE_M, CLUTTER_PER_M2, LEFT_M, COMMON = 2.5, 0.3, 0.1, 0.08, 0.18
 
-# Turns tried between the lines on both sides of the path.
-TURNS = np.radians([-3, -1.5, 0, 1.5, 3])
-
-# Log likelihood ratio of one vote.
-VOTE = 2.5
-
-# Deviations from the path with which the pairs are sought first.
-FIRST_NOISE_M = 0.3
-
-# Density of unrelated parallel lines; standard deviation of drift that neighbours do not show.
-CLUTTER_PER_M2, LEFT_M = 0.1, 0.08
-
-# Least share of the ends of true pairs that agree and their mean gap; density of other gaps.
+# 4: gaps of ends in simulated rows of windows. Least share of the ends of true pairs that agree,
+# and their mean gap; density of other gaps.
 ENDS_AGREE, END_M, CLUTTER_ENDS_PER_M = 0.3, 0.15, 0.4
 
-# Number of paths compared, the most where others have nearly as many votes as the best, this
-# share, and the least distance of paths at each station.
+# 5: simulated canyons, and equal bays, where three paths may be all one wrong answer. Paths
+# compared; the most where others have nearly as many votes as the best, this share; least distance
+# of paths at each station.
 PATHS, MOST_PATHS, LEAST_VOTES, ELSEWHERE_M = 3, 8, 0.75, 0.8
 
-# Least evidence per pair; the share of the smaller set below which there is a remark.
+# 5: canyons, and sets without any common line. Least evidence a pair; share of the smaller set
+# below which there is a remark.
 LEAST_EVIDENCE, FEW_SHARE = 2.2, 0.4
 
-# Least evidence per pair where few lines are paired, and how much less with their share: without
-# the ends, or with them.
+# 5: 300 rows of windows with few common lines, so no score there. Least evidence a pair where few
+# lines are paired, and how much less with their share, without the ends or with them; largest
+# evidence of other pairs over the best, and the most of it with the share of paired lines.
 FEW_EVIDENCE = (7.2, 10.0), (10.0, 16.0)
-
-# Largest evidence of a path with other pairs, as a share of the best one's: with few lines, above
-# this share by the share of the lines that are paired. These and the evidence with few lines were
-# chosen on 300 simulated rows of windows with few common lines, so no score there.
 RIVAL, MOST_RIVAL = 0.45, 0.9
+
+
+def matched(test, model, radius):
+    """Pairs of the displacement that unites most lines, none if it does not stand out; a remark."""
+    lines = _candidates(test, model, radius)
+    none = np.zeros(lines.shape, dtype=bool)
+    if len(lines.rows) < 3:
+        return none, f"Fewer than three lines have a parallel one within {radius:g} m."
+    outcomes = _outcomes(lines, Search(lines, radius))
+    # the others are rivals alone: of many paths one agrees by chance
+    evidence, found, ends = max(outcomes[: PATHS * len(TURNS)], key=itemgetter(0))
+    number, fewer = found.sum(), min(lines.shape)
+    rivals = [other for other, them, _ in outcomes if (them & found).sum() < number / 2]
+    share = found.any(axis=1).sum() / fewer
+    least = [number * max(LEAST_EVIDENCE, few - less * share) for few, less in FEW_EVIDENCE]
+    if evidence - ends <= least[0] and evidence <= least[1]:
+        return none, f"The displacement that unites most lines, {number} of {fewer}, may be chance."
+    if max(rivals, default=0) > evidence * min(RIVAL + share, MOST_RIVAL):
+        return none, "Two displacements with other pairs explain the lines nearly as well."
+    few = f"Only {number} of {fewer} lines are paired: look at them." if share < FEW_SHARE else ""
+    return found, few
+
+
+def _outcomes(lines, search):
+    """Evidence, pairs and the ends' part of it for paths by votes, each with turns of its sides."""
+    found, best, most = [], (0.0, 0.0), 0.0
+    for number, (path, votes) in enumerate(islice(search.paths(), MOST_PATHS)):
+        most = max(most, votes)
+        if number >= PATHS and votes < LEAST_VOTES * most:
+            break
+        for turn in TURNS if number < PATHS else best[1:]:
+            found.append(refined(lines, _retraced(lines, search, path, turn)))
+            best = max(best, (found[-1][0], turn))
+    return found
+
+
+def _candidates(test, model, radius):
+    """Pairs of nearly parallel lines within the radius, or farther off the middle within reach."""
+    parts, size = components(test, model), (lengths(test)[:, None], lengths(model))
+    parallel = parts.angle < np.sin(PARALLEL_RAD) * np.minimum(*size)
+    gap = np.abs(parts.shift) - (size[0] + size[1]) / 2
+    middles = midpoints(test)
+    off = np.linalg.norm(middles - middles[together(middles)].mean(axis=0), axis=1)
+    reach = radius + np.minimum(CHANGE * off, CHANGED_M)[:, None]
+    near = parallel & (parts.perpendicular < reach) & (gap < reach)
+    return paired(test, model, *np.nonzero(near))
+
+
+def _retraced(lines, search, path, turn):
+    """Displacement by the best finer path about the straight one next to a path."""
+    powers = np.vander(search.stations, 2)
+    straight = powers @ np.linalg.pinv(powers) @ path
+    again = lines.again(search.at(lines.place, straight, turn))
+    fine = Search(again, FINE_RADIUS_M, search.at(again.place, straight, turn))
+    around = np.pad(straight + next(fine.paths())[0], ((1, 1), (0, 0)), mode="edge")
+    smooth = (around[:-2] + 2 * around[1:-1] + around[2:]) / 4
+    return partial(search.at, path=smooth, turn=turn)
 
 
 def together(places):
@@ -206,7 +245,7 @@ def _vote(votes, lines, moved, moves, step, shares):
     stamp = np.indices((2 * beside + 1,) * 2).reshape(2, -1).T - beside
     half = int(np.linalg.norm(moves, axis=1).max()) + 1
     side = 2 * half + 1
-    left = np.arange(len(lines.rows)) if moved is None else np.flatnonzero(lines.overlap >= 0.18)
+    left = np.arange(len(lines.rows)) if moved is None else np.flatnonzero(lines.overlap >= COMMON)
     longest = np.argsort(-lines.half[1], kind="stable")
     while len(left):
         first = longest[np.isin(longest, left)][0]
@@ -256,8 +295,8 @@ def refined(lines, start):
         off = lines.offset - np.einsum("nkd,nd->nk", lines.frame, moved)
         variance = noise**2 + LEFT_M**2
         squares = (off**2).sum(axis=1) / variance
-        # true pairs share 0.18 of the shorter line at least, and 99.7 % of them are as near
-        allowed = (lines.overlap >= 0.18) & (squares < -2 * np.log(0.003))
+        # true pairs are as near in 99.7 % of cases
+        allowed = (lines.overlap >= COMMON) & (squares < -2 * np.log(0.003))
         pairs = apart(lines, np.where(allowed, squares, np.inf))
         members = np.flatnonzero(pairs[lines.rows, lines.columns])
         if len(members) < 3:
