@@ -96,7 +96,7 @@ FAULTS = (
     ("lines", "np.radians([-3, -1.5, 0, 1.5, 3])", "np.radians([0.0])", "test_lines_lhd.py"),
     ("plane_search", "np.argsort(x + np.sqrt(2) * y + np.sqrt(3) * z", "np.argsort(0 * x",
      "test_lines_edges.py"),
-    ("lines", "CHANGED_M = 0.06, 0.05,", "CHANGED_M = 0.06, 0.002,", "test_lines_lhd.py"),
+    ("lines", "np.radians(8), 0.06, 0.05,", "np.radians(8), 0.06, 0.002,", "test_lines_lhd.py"),
     ("lines", "0.06, 0.05, 6.0", "0.06, 0.05, 60.0", "test_lines.py"),
     ("lines", "return off <= 5 * np.median(off)", "return off < np.inf", "test_lines.py"),
     ("lines", "return np.unique(turned, axis=0,", "return np.unique(segments, axis=0,",
