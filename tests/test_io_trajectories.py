@@ -1,5 +1,6 @@
 """Paths of navigation software: the same drive in every form, and headings against the movement."""
 
+import json
 import warnings
 
 import numpy as np
@@ -9,7 +10,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mmqa_lab import io
+from mmqa_lab.__main__ import main
+from mmqa_lab.cloud import Cloud
 from mmqa_lab.rotations import rotations
+from mmqa_lab.simulate import Scanner, System
+from mmqa_lab.simulate.test_field import drive_test_field, make_test_field
 
 ZONE = pyproj.CRS(25832)
 N = 40
@@ -150,3 +155,73 @@ def test_headings_a_little_off_the_movement_are_said_from_one_degree(tmp_path, o
 def test_paths_in_other_units_are_refused(tmp_path, columns, part):
     with pytest.raises(ValueError, match=part):
         io.read_trajectory(changed(tmp_path / "p.csv", **columns))
+
+
+ADJUSTED = 2300 * 604_800 - 1e9  # the week of the drive, in adjusted standard time
+UNIX = 2300 * 604_800 + 315_964_800  # in Unix time that counts no leap seconds
+
+
+@pytest.mark.parametrize(("path", "cloud", "shift", "words"), [
+    (TIME, TIME, 0, ""),
+    (TIME, TIME + ADJUSTED, ADJUSTED, "seconds of the GPS week"),
+    (TIME + ADJUSTED, TIME, -ADJUSTED, "adjusted GPS time"),
+    (TIME + ADJUSTED + 1e9, TIME, -ADJUSTED - 1e9, "GPS time since 1980"),
+    (TIME + ADJUSTED + 1e9, TIME + ADJUSTED, -1e9, "GPS time since 1980"),
+    (TIME - 18 + UNIX, TIME + ADJUSTED, ADJUSTED + 18 - UNIX, "Unix time in UTC"),
+    (TIME - 259_200, TIME, 259_200, "seconds of the day in GPS time"),
+    ((604_790 + TIME - 302_400) % 604_800, TIME + 302_390 + ADJUSTED, ADJUSTED, "the GPS week"),
+    ((86_390 + TIME - 302_400) % 86_400, TIME + 43_190, 3 * 86_400, "the day in GPS time"),
+])  # fmt: skip
+def test_times_of_a_path_are_brought_to_those_of_its_cloud(tmp_path, path, cloud, shift, words):
+    """Also over the ends of a week and of a day; the cloud lies within the path."""
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        found = io.read_trajectory(changed(tmp_path / "p.csv", time=path), times=cloud[2:-2])
+    assert np.allclose(np.diff(found["time_s"]), 0.5)
+    assert found["time_s"].iloc[0] == pytest.approx(path[0] + shift, abs=1e-3)
+    assert np.allclose(found[["easting_m", "northing_m"]], PLACES[:, :2], atol=1e-3)
+    assert any(words in str(one.message) for one in told) == bool(words)
+
+
+def test_times_of_two_readings_or_of_another_drive_are_refused(tmp_path):
+    day = changed(tmp_path / "day.csv", time=np.linspace(43_200, 43_400, N), z=0)
+    with pytest.raises(ValueError, match=r"may be seconds of the day in GPS time or .* in UTC"):
+        io.read_trajectory(day, times=[302_400 + 50, 302_400 + 60])
+    unix = changed(tmp_path / "unix.csv", time=np.linspace(0, 200, N) + TIME[0] + UNIX)
+    with pytest.raises(ValueError, match="may be Unix time in GPS seconds or Unix time in UTC"):
+        io.read_trajectory(unix, times=TIME[:2] + ADJUSTED + 50)
+    other = changed(tmp_path / "other.csv", time=np.arange(N))
+    with pytest.raises(ValueError, match=r"0 to 39 s, the cloud's are 100 to 130\. Must be around"):
+        io.read_trajectory(other, times=[100, 130])
+
+
+def test_an_sbet_with_its_las_calibrates_a_head(tmp_path, capsys):
+    """Two drives: LAS in adjusted standard time, SBET in seconds of the week and in degrees."""
+    tilt = {"heading_deg": 45, "tilt_deg": 30, "boresight_deg": (0.0, 0.4, 0.3)}
+    system = System("one", (Scanner(pulse_rate_hz=2e5, mirror_frequency_hz=100, **tilt),))
+    street, zone = make_test_field(length_m=40, seed=1), pyproj.CRS(25835)
+    to = pyproj.Transformer.from_crs(zone, 4326, always_xy=True)
+    drives = drive_test_field(street, system, seed=4, pulses_per_s=20_000)
+    for number, (cloud, path) in enumerate(drives):
+        since = np.linspace(0, path.duration_s, 400)
+        states = path.states(since)
+        places = states[:, :3] + path.origin
+        globe = to.transform(*places[:, :2].T)
+        rows = np.zeros((len(since), 17))
+        rows[:, 0], rows[:, 3], rows[:, 10] = TIME[0] + path.time[0] + since, places[:, 2], 0.2
+        rows[:, 2], rows[:, 1] = np.radians(globe)
+        rows[:, 7:10] = states[:, 3:]
+        rows[:, 9] += 0.2 + np.radians(pyproj.Proj(zone).get_factors(*globe).meridian_convergence)
+        rows.tofile(tmp_path / f"{number}.out")
+        times = TIME[0] + cloud["gps_time"] + ADJUSTED
+        timed = Cloud(cloud.points, {"gps_time": times}, crs=zone)
+        io.write_cloud(tmp_path / f"{number}.las", timed, scale=0.0001)
+    street.poles.to_csv(tmp_path / "poles.csv", index=False)
+    clouds, paths = ([str(tmp_path / f"{n}.{end}") for n in (0, 1)] for end in ("las", "out"))
+    arm = ",".join(map(str, system.assumed_lever_arms[0]))
+    given = ["calibrate", *clouds, "--trajectory", *paths, "--lever-arm", arm, "--json"]
+    assert main([*given, "--poles", str(tmp_path / "poles.csv")]) == 0
+    said = capsys.readouterr()
+    found = pd.DataFrame(json.loads(said.out))
+    assert found["value"][:3].to_numpy() == pytest.approx([0, 0.4, 0.3], abs=0.002)
+    assert "seconds of the GPS week" in found["remarks"][0]

@@ -101,7 +101,7 @@ def calibrate(
         Cloud files with GPS time (LAS or LAZ), one for each drive.
     trajectory
         Path (position, roll, pitch, heading), one for each drive or one for all: CSV, SBET, text of
-        POSPac or Inertial Explorer, TUM or EuRoC.
+        POSPac or Inertial Explorer, TUM or EuRoC. Its times are brought to those of the clouds.
     lever_arm
         Assumed lever arm X,Y,Z of a head, m, once for each head. Without it, 0,0,0.
     control
@@ -123,12 +123,14 @@ def calibrate(
         check_outputs([out / name for name in names], inputs)
     with nullcontext() if out is None else io.own_folder(out):
         clouds = [io.read_cloud(file) for file in progress(drives, "cloud")]
-        crs = clouds[0].crs
-        read = [io.read_trajectory(file, crs=crs) for file in trajectory]
-        paths = [Trajectory.from_table(one) for one in read]
-        paths = paths * len(clouds) if len(paths) == 1 else paths
-        unlike = len(paths) != len(clouds)
-        refuse(unlike, "trajectories", str(len(paths)), "one, or one for each drive")
+        files = trajectory * len(clouds) if len(trajectory) == 1 else trajectory
+        unlike = len(files) != len(clouds)
+        refuse(unlike, "trajectories", str(len(files)), "one, or one for each drive")
+        paths = []
+        for file, cloud in zip(files, clouds, strict=True):
+            times = cloud.columns.get("gps_time")
+            path = io.read_trajectory(file, crs=cloud.crs, times=times)
+            paths.append(Trajectory.from_table(path))
         heads = 1 + max(int(np.max(cloud["head"])) if "head" in cloud else 0 for cloud in clouds)
         arms = lever_arm or ["0,0,0"] * heads
         try:

@@ -1,4 +1,4 @@
-"""What speaks against a path in metres, seconds and degrees from north."""
+"""What speaks against a path in metres, degrees from north and the seconds of its cloud."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from mmqa_lab._checks import refuse
 
-__all__ = ["check_headings", "check_scales"]
+__all__ = ["check_headings", "check_scales", "matched_times"]
 
 # Headings so far off the movement are none; from here on they are doubted.
 OTHER_HEADING_DEG, DOUBTED_HEADING_DEG = 45.0, 1.0
@@ -19,6 +19,23 @@ SAME_HEADING_DEG, FEWEST_MOVES = 2.0, 5
 # No survey's vehicle is as fast or as slow, m/s; times as long as these are no seconds.
 FASTEST_M_S, SLOWEST_M_S = 300.0, 0.1
 LATEST_S = 1e10
+
+DAY_S, WEEK_S = 86_400.0, 604_800.0
+
+# Adjusted standard time of LAS is GPS time without a thousand million seconds. GPS time began so
+# many seconds after Unix time, and is so many ahead of UTC since 2017.
+ADJUSTED_S, EPOCH_S, LEAP_S = 1e9, 315_964_800.0, 18.0
+
+# What times of a path may be: seconds to GPS time, after how many they begin again, from and to.
+CLOCKS = {
+    "seconds of the GPS week": (0.0, WEEK_S, 0.0, 2 * WEEK_S),
+    "seconds of the day in GPS time": (0.0, DAY_S, 0.0, 2 * DAY_S),
+    "seconds of the day in UTC": (LEAP_S, DAY_S, 0.0, 2 * DAY_S),
+    "adjusted GPS time": (ADJUSTED_S, 0.0, 1e7, 1e9),
+    "GPS time since 1980": (0.0, 0.0, 1e9, 2e9),
+    "Unix time in GPS seconds": (-EPOCH_S, 0.0, 1e9, 3e9),
+    "Unix time in UTC": (LEAP_S - EPOCH_S, 0.0, 1e9, 3e9),
+}
 
 
 def check_headings(table, what):
@@ -71,6 +88,38 @@ def check_scales(table, what):
     refuse(speed > FASTEST_M_S, what, f"a speed of {speed:.0f} m/s, as in mm", "in metres")
     whole = (time == np.round(time)).all() and np.median(seconds) >= 10
     refuse(whole and speed < SLOWEST_M_S, what, "times that look like ms", "in seconds")
+
+
+def matched_times(time, cloud, what):
+    """Return the times of a path in its order, s, as those of its cloud; say it if they change.
+
+    Raise if two readings of them fit to the cloud, or none does.
+    """
+    first, last = float(np.min(cloud)), float(np.max(cloud))
+    if first == last or (time.min() <= first and time.max() >= last):
+        return time
+    back = np.diff(time)
+    size = WEEK_S if back.min(initial=0) < -WEEK_S / 2 else DAY_S
+    time = time + size * np.append(0, np.cumsum(back < -size / 2))
+    low, high = float(time.min()), float(time.max())
+    home, again = (0.0, WEEK_S) if last <= 2 * WEEK_S else (ADJUSTED_S * (last < ADJUSTED_S), 0.0)
+    fits = {}
+    for name, (origin, turn, least, most) in CLOCKS.items():
+        shift, step = origin - home, turn or again
+        shift += step * np.floor((first - low - shift) / step) if step else 0.0
+        if least <= low <= high <= most and low + shift <= first and high + shift >= last:
+            fits[name] = shift
+    found = f"times of {low:.10g} to {high:.10g} s, the cloud's are {first:.10g} to {last:.10g}"
+    refuse(not fits, what, found, "around the cloud's")
+    found = f"times that may be {' or '.join(fits)}"
+    refuse(len({*fits.values()}) > 1, what, found, "in the seconds of the cloud")
+    (name, shift), *_ = fits.items()
+    if shift:
+        told = (
+            f"The times of {what} are taken for {name}: with {shift:+.10g} s they are the cloud's."
+        )
+        warnings.warn(told, stacklevel=3)
+    return time + shift
 
 
 def _off(given, course):

@@ -8,9 +8,10 @@ import warnings
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_columns, check_file, coordinate_columns, listed, refuse
-from mmqa_lab.io.path_doubts import check_headings, check_scales
+from mmqa_lab.io.path_doubts import DAY_S, WEEK_S, check_headings, check_scales, matched_times
 from mmqa_lab.io.systems import named_system
 from mmqa_lab.io.tables import text_table, with_numbers
 
@@ -32,8 +33,6 @@ PATH_UNITS = {"": 1.0, "s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1
 PATH_UNITS |= {"deg": 1.0, "degrees": 1.0, "°": 1.0, "gon": 0.9}
 PATH_UNITS |= dict.fromkeys(("rad", "radians"), 180 / np.pi)
 
-WEEK_S, DAY_S = 604_800.0, 86_400.0
-
 PATH_HEADER = "time in seconds, easting, northing, height"
 PATH_ORDER = [*PATH_COLUMNS, *[*PATH_NAMES][1:]]
 
@@ -44,7 +43,9 @@ SBET_ENDINGS, SBET_DOUBLES = (".out", ".sbet"), 17
 QUATERNION = ["qx", "qy", "qz", "qw"]
 
 
-def read_trajectory(path: str | os.PathLike, *, crs: object = None) -> pd.DataFrame:
+def read_trajectory(
+    path: str | os.PathLike, *, crs: object = None, times: ArrayLike | None = None
+) -> pd.DataFrame:
     """Read a vehicle's path.
 
     Parameters
@@ -58,6 +59,9 @@ def read_trajectory(path: str | os.PathLike, *, crs: object = None) -> pd.DataFr
     crs : pyproj.CRS, optional
         Of the cloud: latitude and longitude are projected to it, and headings turned from true
         north to the north of its grid. Heights stay.
+    times : array_like, optional
+        Of the cloud's points, s: seconds of the GPS week or of a day, adjusted and plain GPS time
+        and Unix time are told apart, and brought to the cloud's.
 
     Returns
     -------
@@ -72,12 +76,14 @@ def read_trajectory(path: str | os.PathLike, *, crs: object = None) -> pd.DataFr
     ValueError
         If a needed column is missing, a value is no finite number, a time repeats, latitudes have
         no system to go to, headings lie 45 degrees off the movement or are radians, gon or counted
-        from east, or the speed is none of a vehicle in metres and seconds.
+        from east, the speed is none of a vehicle in metres and seconds, or its times may be two
+        kinds of seconds or do not lie around the cloud's.
 
     Warns
     -----
     UserWarning
-        If headings lie a degree or more off the movement, and what is not read.
+        If headings lie a degree or more off the movement, of what seconds the times are taken for,
+        and of what is not read.
 
     Examples
     --------
@@ -119,6 +125,8 @@ def read_trajectory(path: str | os.PathLike, *, crs: object = None) -> pd.DataFr
     absent = [name.partition("_")[0] for name in [*PATH_NAMES][1:] if name not in table]
     if unread and absent:
         warnings.warn(f"No {', '.join(absent)} in {what}: not read are {unread}.", stacklevel=2)
+    if times is not None:
+        table["time_s"] = matched_times(table["time_s"].to_numpy(), np.asarray(times), what)
     back = table["time_s"].diff().min()
     wrapped = back < -WEEK_S / 2
     midnight = -DAY_S - 1 < back < -DAY_S / 2 and table["time_s"].max() < DAY_S + 1
