@@ -85,8 +85,8 @@ stays text. Equal runs give files with equal bytes."""
 # Symbols as words of a text: d1, d2, ..., f, g, thresholds, s_r, rho0 and sigma_MAD.
 SYMBOL = re.compile(r"(?<![\w$\\])(?:([dsf])_?([1-9]|r|0)|([fg])|sigma_(?:MAD|mad)|rho0)(?![\w$(])")
 
-# The underscore between the words of a name.
-JOINT = re.compile(r"(?<=[a-z0-9]{2})_(?=[a-z])")
+# A name of words joined by underscores, which LaTeX escapes.
+JOINED = re.compile(r"(?<![\w$\\])[a-z0-9]{2,}(?:\\?_[a-z0-9]+)+(?![\w.])")
 
 # Formatters of axes whose ticks have names.
 NAMING = mpl.ticker.FixedFormatter | mpl.ticker.FuncFormatter | mpl.category.StrCategoryFormatter
@@ -306,6 +306,8 @@ def with_symbols(text):
     --------
     >>> with_symbols("f below d4")
     '$f$ below $d_4$'
+    >>> with_symbols("noise_of_a_mean")
+    'noise of a mean'
     """
 
     def set_one(found):
@@ -315,4 +317,7 @@ def with_symbols(text):
         symbol = f"{letter}_{index}" if index else ratio or r"\sigma_\mathrm{MAD}"
         return f"${symbol}$"
 
-    return text if "$" in text else JOINT.sub(" ", SYMBOL.sub(set_one, text))
+    def say_one(found):
+        return re.sub(r"\\?_", " ", found[0])
+
+    return text if "$" in text else JOINED.sub(say_one, SYMBOL.sub(set_one, text))

@@ -3,6 +3,7 @@
 import re
 import shutil
 import subprocess
+from collections import Counter
 
 import matplotlib.pyplot as plt
 import pandas as pd
@@ -11,12 +12,13 @@ import pytest
 from mmqa_lab import commands, plots
 from mmqa_lab.run import Run, papers
 from mmqa_lab.run.papers import make_paper
+from mmqa_lab.run.quotes import quoted_name, values_tex, values_typ
 from mmqa_lab.studies import STUDIES, chosen, notebooks_folder
 
 typst = pytest.importorskip("typst")
 
 
-@plots.style()
+@plots.style("elsevier")
 def study_run(folder, monkeypatch, stem="mimic", value=54.21):
     """A run of a study with all that a paper takes from one."""
     monkeypatch.setenv("MMQA_RESULTS", str(folder))
@@ -113,7 +115,27 @@ def test_a_skeleton_for_latex_escapes_signs_and_closes_what_it_opens(tmp_path, m
         assert (tmp_path / "m" / papers.RUNS / study / name).is_file()
 
 
+def test_one_document_takes_the_values_of_all_studies(tmp_path):
+    source, files = tmp_path / "all.typ", []
+    for study in STUDIES:
+        names = [quoted_name(study.stem, name) for name in ("n", "f_low", "e95_low", "σ_2_mm")]
+        rows = [{"quoted": one, "text": "5 %", "unit": "1", "kind": ""} for one in names]
+        (tmp_path / f"{study.stem}.typ").write_text(values_typ(rows))
+        files.append((study.stem, values_tex(rows)))
+    tex = "".join(text for _, text in files)
+    names = re.findall(r"(?m)^\\newcommand\{\\([A-Za-z]+)\}\{[^{}]*\} %.*$", tex)
+    assert len(names) == len(set(names)) == 4 * len(STUDIES)
+    imports = [f'#import "{stem}.typ": *' for stem, _ in files]
+    source.write_text("\n".join([*imports, *(f"#{name}" for name in names)]))
+    assert typst.compile(str(source)).startswith(b"%PDF")
+
+
 NUMBER = re.compile(r"(?<![\w.@\"(-])[-−]?\d+(?:\.\d+)?(?![\w\"])")
+
+SMALL = "three|four|five|six|seven|eight|nine|ten|eleven|twelve|dozen|hundred|thousand|million"
+TENS = r"\w+teen|(?:twen|thir|for|fif|six|seven|eigh|nine)ty"
+WORD = re.compile(rf"(?i)(?<![\w@-])(?:{SMALL}|{TENS})(?!\w)")
+"""Numbers as words; one, two and a half count parts of a thing, and no run changes them."""
 
 
 def typed_numbers(text):
@@ -126,19 +148,60 @@ def typed_numbers(text):
     while (plain := re.sub(r"#[\w.]+\([^()]*(?:\([^()]*\)[^()]*)*\)", "", text)) != text:
         text = plain
     text = re.sub(r'#"[^"]*"', "", text)
-    return NUMBER.findall(text)
+    return NUMBER.findall(text) + WORD.findall(text)
 
 
 def test_typed_numbers_are_found():
     text = '#import "x": a4\nWe saw 12.5 mm, #mmqaMimicSpeedKmh km/h and #stated[95] %; $f = 2$.'
     assert typed_numbers(text) == ["12.5"]
+    text = (
+        "Thirty-one metrics of seventeen, one of two; @fig-six, #stated[three] ways, for seventy."
+    )
+    assert typed_numbers(text) == ["Thirty", "seventeen", "seventy"]
 
 
-def test_no_number_of_the_paper_is_typed_and_it_compiles(tmp_path):
-    folder = notebooks_folder() / "paper"
-    assert typed_numbers((folder / "paper.typ").read_text(encoding="utf-8")) == []
-    shutil.copytree(folder, tmp_path / "paper")
-    made = make_paper(tmp_path / "paper", tmp_path / "no_results")
-    assert made.read_bytes().startswith(b"%PDF")
-    kept = sum(path.stat().st_size for path in (folder / "from_runs").rglob("*.*"))
-    assert kept < 1_000_000
+PAPER = notebooks_folder() / "paper"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """The paper of the stored results."""
+    folder = tmp_path_factory.mktemp("paper") / "paper"
+    shutil.copytree(PAPER, folder)
+    return make_paper(folder, folder / "no_results")
+
+
+def test_no_number_of_the_paper_is_typed_and_it_compiles(made):
+    text = (PAPER / "paper.typ").read_text(encoding="utf-8")
+    assert typed_numbers(text) == []
+    abstract = re.search(r"(?s)abstract: \[(.*?)\],\n", text)[1]
+    assert 180 <= len(abstract.split()) <= 200
+    assert "are simulated" in abstract
+    content = made.read_bytes()
+    assert b"/Title" in content
+    assert b"/Lang" in content
+    assert content.count(b"/Alt") == text.count("#fig(") > 3
+    assert 6 <= len(re.findall(rb"/Type ?/Page\b", content)) <= 8
+    fonts = content.count(b"/FontDescriptor ")
+    assert content.count(b"/FontFile") == fonts > 2  # each is embedded
+    assert sum(path.stat().st_size for path in (PAPER / "from_runs").rglob("*.*")) < 1_000_000
+    assert (PAPER / "lab.typ").read_text() == (papers.TEMPLATES / "paper/lab.typ").read_text()
+
+
+def test_other_results_change_the_numbers_of_the_paper_and_no_word(made, tmp_path):
+    def others(found):
+        return "".join(str((int(one) + 1) % 10) if one.isdigit() else one for one in found[0])
+
+    shutil.copytree(PAPER, tmp_path / "paper")
+    for file in (tmp_path / "paper").glob("from_runs/*/values.typ"):
+        file.write_text(re.sub(r'#"[^"]+"', others, file.read_text()))
+    for file in (tmp_path / "paper").glob("from_runs/*/*.csv"):
+        file.write_text(re.sub(r"(?<=,)-?\d+\.\d+(?=,)", others, file.read_text()))
+    again = make_paper(tmp_path / "paper", tmp_path / "no_results")
+    texts = [text_of(one).replace("-\n", "") for one in (made, again)]
+    numbers, words = (
+        [Counter(re.findall(pattern, text)) for text in texts]
+        for pattern in (r"\d+\.\d+", r"[A-Za-z]{2,}")
+    )
+    assert words[0] == words[1]
+    assert (numbers[0] - numbers[1]).total() > 50

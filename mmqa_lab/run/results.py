@@ -9,6 +9,8 @@ import json
 import os
 import platform
 import re
+import shutil
+import subprocess
 import zlib
 from collections.abc import Sequence
 from importlib import metadata
@@ -100,6 +102,9 @@ class Run:
             told_apart = [os.environ.get("JPY_SESSION_NAME", ""), *map(str, paths)]
             self.folder /= f"{paths[0].stem}_{zlib.crc32(chr(10).join(told_apart).encode()):08x}"
         self._values, self._kinds, self._checks = {}, {}, {}
+        commit = {"unit": "commit of the code", "kind": f"version {__version__}"}
+        commit["text"] = _code_commit() or __version__
+        self._commit = commit | {"quoted": quoted_name(stem, "code_commit")}
         notebooks = sorted(Path.cwd().glob(f"*{stem}*.ipynb"), key=lambda one: len(one.name))
         names = parameter_names(notebooks[0]) if notebooks else []
         self._record = new_record(self.folder) | {
@@ -208,8 +213,8 @@ class Run:
         self._values[name] = row
         rows = list(self._values.values())
         self._write("values.csv", pd.DataFrame(rows)[["name", "value", "unit", "kind"]])
-        self._write("values.tex", values_tex(rows))
-        self._write("values.typ", values_typ(rows))
+        self._write("values.tex", values_tex([*rows, self._commit]))
+        self._write("values.typ", values_typ([*rows, self._commit]))
 
     def save_answer(
         self,
@@ -366,6 +371,15 @@ def _kind_of(frame):
     text = " ".join(words[columns[0]].unique() if columns else map(str, frame))
     kinds = ", ".join(kind for kind in NUMBER_KINDS if kind in text)
     return f"{kinds} (simulated)" if kinds and "simulated" in text else kinds
+
+
+def _code_commit():
+    """The commit of the code, short; nothing where it lies in no repository of its own."""
+    root = Path(__file__).parents[2]
+    order = ["git", "-C", str(root), "rev-parse", "--short=10", "HEAD"]
+    if not (root / ".git").exists() or shutil.which("git") is None:
+        return ""
+    return subprocess.run(order, capture_output=True, text=True, check=False).stdout.strip()
 
 
 def new_record(folder):
