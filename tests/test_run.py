@@ -51,8 +51,9 @@ def test_the_record_is_written_with_every_file(run):
     assert verdict(record) == "1 of 1 checks passed"
     assert record["versions"]["numpy"] == np.__version__
     assert pd.read_csv(run.folder / "values.csv")["value"].item() == 3.257
-    macro = (run.folder / "values.tex").read_text()
-    assert macro == "\\newcommand{\\mmqaExampleFTwoOfA}{3.257} % 1, predicted\n"
+    number, commit = (run.folder / "values.tex").read_text().splitlines()
+    assert number == "\\newcommand{\\mmqaExampleFTwoOfA}{3.257} % 1, predicted"
+    assert commit.startswith("\\newcommand{\\mmqaExampleCodeCommit}{")
 
 
 def test_runs_by_hand_on_other_files_or_in_other_notebooks_do_not_meet(tmp_path, monkeypatch):
