@@ -1,5 +1,7 @@
 """Clouds in the forms of other programs: E57, PCD, PTX; and what is not read is named."""
 
+import json
+
 import numpy as np
 import pye57
 import pypcd4
@@ -18,14 +20,18 @@ def wall(rng):
     return np.round(rng.random((300, 3)) * [2, 0.01, 2], 4)
 
 
-def test_the_scans_of_an_e57_stand_at_their_poses(tmp_path, wall):
+def test_the_scans_of_an_e57_stand_at_their_poses(tmp_path, wall, capsys):
     file = pye57.E57(str(tmp_path / "three.e57"), mode="w")
     half = np.sqrt(0.5)
     for number in range(3):
+        name = ["near", "far", "0"][number]
         data = dict(zip(("cartesianX", "cartesianY", "cartesianZ"), wall.T.copy(), strict=True))
         data["intensity"] = np.arange(300.0)
         file.write_scan_raw(
-            data, rotation=np.array([half, 0, 0, half]), translation=PLACE + [0, 0, 3 * number]
+            data,
+            name=name,
+            rotation=np.array([half, 0, 0, half]),
+            translation=PLACE + [0, 0, 3 * number],
         )
     file.close()
     cloud = io.read_cloud(tmp_path / "three.e57")
@@ -35,7 +41,22 @@ def test_the_scans_of_an_e57_stand_at_their_poses(tmp_path, wall):
     assert cloud["intensity"].tolist() == [*range(300)] * 3
     parts = list(io.iterate_cloud(tmp_path / "three.e57", columns=()))
     assert [len(part) for part in parts] == [300] * 3
-    assert main(["evaluate", str(tmp_path / "three.e57")]) == 0
+    for scan in (1, "far"):
+        one = io.read_cloud(tmp_path / "three.e57", scan=scan)
+        assert np.array_equal(one.points, cloud.points[300:600])
+    with pytest.raises(ValueError, match=r"Invalid scan 7 of cloud .*: none of it\. Must be in it"):
+        io.read_cloud(tmp_path / "three.e57", scan=7)
+    for words in (
+        ["evaluate", "--scan", "far"],
+        ["map", "--out", str(tmp_path / "m.nc")],
+        ["info"],
+    ):
+        assert main([words[0], str(tmp_path / "three.e57"), *words[1:], "--json"]) == 0
+        rows = json.loads(capsys.readouterr().out)
+        if words[0] == "info":
+            assert (rows[0]["kind"], rows[0]["points"]) == ("E57 cloud, scans: 3", 900)
+        if words[0] == "evaluate":
+            assert rows[0]["n"] == 300
     whole = (tmp_path / "three.e57").read_bytes()
     (tmp_path / "cut.e57").write_bytes(whole[: len(whole) // 2])
     with pytest.raises(ValueError, match=r"damaged.*Must be a complete E57 file"):
@@ -43,7 +64,7 @@ def test_the_scans_of_an_e57_stand_at_their_poses(tmp_path, wall):
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "binary", "binary_compressed"])
-def test_each_kind_of_pcd_is_the_same_cloud(tmp_path, wall, encoding):
+def test_each_kind_of_pcd_is_the_same_cloud(tmp_path, wall, capsys, encoding):
     wall = wall.astype(np.float32)
     wall[:5, 2] = np.nan
     rings = np.arange(300, dtype=np.uint16)
@@ -58,6 +79,8 @@ def test_each_kind_of_pcd_is_the_same_cloud(tmp_path, wall, encoding):
     if encoding != "ascii":  # in which its writer rounds the packed colours to nothing
         assert (cloud["red"][0], cloud["green"][0], cloud["blue"][0]) == (200, 2, 3)
     assert 0 < cloud.resolution < 1e-6
+    assert main(["evaluate", str(tmp_path / "w.pcd"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)[0]["n"] == 295
     raw = (tmp_path / "w.pcd").read_bytes()
     (tmp_path / "moved.txt").write_bytes(raw.replace(b"0.0 0.0 0.0 1.0", b"1.0 0.0 0.0 1.0"))
     with pytest.warns(UserWarning, match="viewpoint, 1 0 0 1 0 0 0, which is not applied"):
@@ -128,3 +151,17 @@ def test_reference_points_that_are_given_twice_count_once(tmp_path):
     with pytest.warns(UserWarning, match="Dropped 3 points of .* that are given twice"):
         found = io.read_heights(tmp_path / "r.csv")
     assert found.tolist() == [[x, y, x + y] for x in range(3) for y in range(2)]
+
+
+@pytest.mark.parametrize(("name", "content", "kind", "count"), [
+    ("p.csv", "time,x,y,z,heading\n0,0,0,2,90\n1,5,0,2,90\n", "path", 2),
+    ("t.txt", "0.5 1 2 3 0 0 0 1\n1.5 2 2 3 0 0 0 1\n", "path", 2),
+    ("r.csv", "system,quantity,value\nA,density_per_m2,12\n", "table", 1),
+    ("c.xyz", "0 0 0\n1 0 0\n0 1 0\n", "text cloud", 3),
+    ("o.wkt", "POLYGON ((0 0, 1 0, 1 1, 0 0))", "1 outlines", 4),
+    ("s.out", np.zeros(34).tobytes(), "path (SBET)", 2),
+])  # fmt: skip
+def test_info_says_what_a_file_is(tmp_path, name, content, kind, count):
+    (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+    found = io.describe_file(tmp_path / name)
+    assert (found["kind"], found["points"]) == (kind, count)

@@ -1,6 +1,7 @@
 """Outlines of a GIS: the same ring in every form, several with their names, on the cloud."""
 
 import json
+import warnings
 
 import numpy as np
 import pyogrio
@@ -10,6 +11,7 @@ import shapely
 
 from mmqa_lab import io
 from mmqa_lab.__main__ import main
+from mmqa_lab.chart_cloud import evaluate_cloud, inside_polygon
 from mmqa_lab.cloud import Cloud
 
 ZONE = pyproj.CRS(25832)
@@ -111,11 +113,54 @@ def test_outlines_in_another_system_are_moved_onto_the_cloud(tmp_path):
     assert same_ring(io.read_polygon(tmp_path / "o.gpkg"), other, 1e-6)
 
 
-def test_holes_and_damage_get_one_sentence(tmp_path):
-    hole = shapely.Polygon(RING, [RING[:3] * 0.5 + RING.mean(axis=0) * 0.5])
-    (tmp_path / "h.wkt").write_text(shapely.to_wkt(hole))
-    with pytest.raises(ValueError, match=r"2 rings, so a hole\. Must be of one ring"):
-        io.read_outlines(tmp_path / "h.wkt")
+def with_hole():
+    """A ring with a hole of a quarter of its area, as shapely's polygon."""
+    middle = RING.mean(axis=0)
+    return shapely.Polygon(RING, [(RING - middle) / 2 + middle])
+
+
+@pytest.mark.parametrize("form", ["h.wkt", "h.gpkg", "h.geojson", "flat.gpkg"])
+def test_a_hole_is_no_surface(tmp_path, slope, form):
+    """Density, points and places leave it out; it is written and read back."""
+    shape, path = with_hole(), tmp_path / form
+    if form == "h.wkt":
+        path.write_text(shapely.to_wkt(shape, rounding_precision=9))
+    elif form == "h.geojson":
+        io.write_outlines(path, {"a": io.read_polygon(polygon_file(tmp_path, shape))})
+    else:
+        polygon_file(path.parent, shape, name=form, flat=form == "flat.gpkg")
+    with warnings.catch_warnings(action="ignore"):
+        ring = io.read_polygon(path, crs=ZONE, points=slope)
+    found = evaluate_cloud(slope, polygon=ring)
+    inside = shapely.contains_xy(shape, *slope[:, :2].T)
+    assert abs(found.n - inside.sum()) <= 2
+    assert found.area_polygon_m2 == pytest.approx(shape.area * np.hypot(1, 0.05), rel=1e-4)
+    assert found.outline.area == pytest.approx(found.area_polygon_m2)
+    assert inside_polygon(slope[inside], ring).mean() > 0.999
+    filled = evaluate_cloud(slope, polygon=RING)
+    assert found.density_polygon_per_m2 == pytest.approx(filled.density_polygon_per_m2, rel=0.1)
+
+
+def polygon_file(folder, shape, *, name="o.gpkg", flat=False):
+    """Write one polygon by pyogrio."""
+    stored = np.array([shapely.to_wkb(shapely.force_2d(shape) if flat else shape)])
+    kind = "Polygon" if flat else "Polygon Z"
+    layout = {"geometry_type": kind, "crs": "EPSG:25832"}
+    pyogrio.raw.write(folder / name, stored, [np.array(["a"], dtype=object)], ["name"], **layout)
+    return folder / name
+
+
+def test_a_map_has_rows_for_each_area(tmp_path, slope, capfd):
+    io.write_cloud(tmp_path / "road.laz", Cloud(slope, crs=ZONE))
+    areas = [CORNER + [[x, 0, 0], [x + 2, 0, 0], [x + 2, 2, 0], [x, 2, 0]] for x in (0, 3)]
+    written(tmp_path / "areas.gpkg", areas, ["west", "east"], flat=True)
+    given = ["map", str(tmp_path / "road.laz"), "--out", str(tmp_path / "m.tif"), "--json"]
+    assert main([*given, "--polygon", str(tmp_path / "areas.gpkg")]) == 0
+    rows = [row for row in json.loads(capfd.readouterr().out) if row["figure"] == "density"]
+    assert [(row["outline"], row["n"]) for row in rows] == [("west", 16), ("east", 16)]
+
+
+def test_damage_gets_one_sentence(tmp_path):
     (tmp_path / "d.gpkg").write_bytes(b"SQLite format 3\0" + bytes(90))
     with pytest.raises(ValueError, match=r"damaged.* Must be outlines of a GIS"):
         io.read_outlines(tmp_path / "d.gpkg")

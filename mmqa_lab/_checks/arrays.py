@@ -176,6 +176,21 @@ def check_polygon(vertices, *, name="polygon"):
     return check_points(ring[kept], name=name, minimum=3)
 
 
+def polygon_rings(vertices):
+    """Rows of a polygon's rings: its outline, then each hole, which follows the first vertex again.
+
+    Examples
+    --------
+    >>> square = [[0, 0, 0], [9, 0, 0], [9, 9, 0], [0, 9, 0]]
+    >>> hole = [[2, 2, 0], [3, 2, 0], [2, 3, 0], [2, 2, 0]]
+    >>> [rows.tolist() for rows in polygon_rings(np.array([*square, square[0], *hole]))]
+    [[0, 1, 2, 3], [5, 6, 7, 8]]
+    """
+    starts = np.flatnonzero((vertices == vertices[0]).all(axis=1))
+    outline, *others = np.split(np.arange(len(vertices)), starts[1:])
+    return [outline, *(rows[1:] for rows in others if len(rows) > 4)]
+
+
 def check_image(image, *, convert=True):
     """Return a grey image as float64, or in its own type without ``convert``.
 

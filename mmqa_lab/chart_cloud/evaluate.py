@@ -11,7 +11,14 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_choice, check_number, check_points, check_polygon, check_positive
+from mmqa_lab._checks import (
+    check_choice,
+    check_number,
+    check_points,
+    check_polygon,
+    check_positive,
+    polygon_rings,
+)
 from mmqa_lab.chart_cloud.doubts import (
     remark_on_form,
     remark_on_gaps,
@@ -203,7 +210,8 @@ def inside_polygon(points: ArrayLike, polygon: ArrayLike, *, thickness: float = 
     points : Cloud or array_like, shape (n, 3)
         The cloud, m.
     polygon : array_like, shape (m, 3)
-        Vertices in order, m; convex or concave.
+        Vertices in order, m; convex or concave. A hole follows as a closed ring behind the first
+        vertex once more, as :func:`mmqa_lab.io.read_outlines` reads it.
     thickness : float
         Largest distance from the polygon's plane on either side, m.
 
@@ -293,7 +301,9 @@ def selected(points, polygon, thickness):
 def outline_on(vertices, plane, normal):
     """A polygon projected onto a plane along a direction, in plane coordinates."""
     reach = plane.distances(vertices) / (normal @ plane.normal)
-    polygon = shapely.Polygon(plane.project(vertices - reach[:, None] * normal))
+    flat = plane.project(vertices - reach[:, None] * normal)
+    rings = [flat[rows] for rows in polygon_rings(vertices)]
+    polygon = shapely.Polygon(rings[0], rings[1:])
     if not polygon.is_valid or polygon.area == 0:
         reason = "crosses itself" if polygon.area else "has no area"
         raise ValueError(f"Invalid polygon: {reason}. Must be an outline that encloses an area.")

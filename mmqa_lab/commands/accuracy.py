@@ -123,6 +123,12 @@ def calibrate(
         check_outputs([out / name for name in names], inputs)
     with nullcontext() if out is None else io.own_folder(out):
         clouds = [io.read_cloud(file) for file in progress(drives, "cloud")]
+        heads = 1 + max(int(np.max(cloud["head"])) if "head" in cloud else 0 for cloud in clouds)
+        arms = lever_arm or ["0,0,0"] * heads
+        try:
+            arms = np.array([arm.split(",") for arm in arms], np.float64).reshape(len(arms), 3)
+        except ValueError:
+            raise ValueError(f"Invalid lever-arm {' '.join(arms)}. Must be X,Y,Z.") from None
         files = trajectory * len(clouds) if len(trajectory) == 1 else trajectory
         unlike = len(files) != len(clouds)
         refuse(unlike, "trajectories", str(len(files)), "one, or one for each drive")
@@ -131,12 +137,6 @@ def calibrate(
             times = cloud.columns.get("gps_time")
             path = io.read_trajectory(file, crs=cloud.crs, times=times)
             paths.append(Trajectory.from_table(path))
-        heads = 1 + max(int(np.max(cloud["head"])) if "head" in cloud else 0 for cloud in clouds)
-        arms = lever_arm or ["0,0,0"] * heads
-        try:
-            arms = np.array([arm.split(",") for arm in arms], np.float64).reshape(len(arms), 3)
-        except ValueError:
-            raise ValueError(f"Invalid lever-arm {' '.join(arms)}. Must be X,Y,Z.") from None
         found = boresight.calibrate(
             list(zip(clouds, paths, strict=True)),
             lever_arms_m=arms,

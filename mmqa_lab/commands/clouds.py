@@ -22,45 +22,25 @@ __dir__ = __all__.copy
 
 @table
 def info(clouds: list[Path], /):
-    """List what files contain: extent, unit, step, time, and columns with counts of their values.
+    """List what files are and contain: extent, unit, step, time, columns with counts of values.
 
     Remarks tell what other commands leave out, count or refuse.
 
     Parameters
     ----------
     clouds
-        Cloud files; images; outlines; and folders of such files.
+        Clouds, images, rasters, outlines, paths and tables; and folders of such files.
     """
     import pandas as pd
+
+    from mmqa_lab import io
 
     inside = [sorted(one.rglob("*")) if one.is_dir() else [one] for one in clouds]
     whole = [one for some in inside for one in some if one.is_file() or one in clouds]
     files = [one for one in whole if not one.name.startswith(".") or one in clouds]
     if not files:
         raise ValueError(f"Invalid folder {clouds[0]}: no file in it. Must contain one.")
-    return each_file(files, "file", lambda file: pd.DataFrame([_contents(file)]))
-
-
-def _contents(file):
-    """What a file contains, as a row."""
-    from dataclasses import replace
-
-    import numpy as np
-
-    from mmqa_lab import io
-    from mmqa_lab.cloud import Cloud, describe
-
-    ending = file.suffix.lower()
-    if ending in io.IMAGE_ENDINGS:
-        bands, rows, columns = io.read_bands(file).shape
-        return {"image": f"{columns} x {rows} pixels, {bands} bands"}
-    if ending in io.OUTLINE_ENDINGS:
-        outlines = io.read_outlines(file)
-        names = ", ".join(name for name, _ in outlines)
-        return describe(Cloud(np.concatenate([ring for _, ring in outlines]))) | {"outlines": names}
-    parts = list(io.iterate_cloud(file))
-    whole = Cloud.concatenate(replace(part, crs=None) for part in parts)
-    return describe(replace(whole, crs=parts[0].crs if parts else None))
+    return each_file(files, "file", lambda file: pd.DataFrame([io.describe_file(file)]))
 
 
 @table
@@ -69,6 +49,7 @@ def evaluate(
     /,
     *,
     polygon: str | None = None,
+    scan: str | None = None,
     rho0: float | None = None,
     axes: str | None = None,
     radius: float = 0.5,
@@ -93,6 +74,8 @@ def evaluate(
     polygon
         Outlines of one or more surfaces: GeoPackage, shapefile, KML, DXF, GeoJSON, WKT or CSV, or
         "x,y,z; x,y,z; x,y,z". Those without heights are laid onto the cloud.
+    scan
+        The scan of an E57 or PTX file, by its number from 0, or by its name. Without it, all.
     rho0
         The density asked for, points per m2. The table then says whether f matters.
     axes
@@ -129,7 +112,7 @@ def evaluate(
     done = []
 
     def measured(file):
-        cloud = io.read_cloud(file, columns=())
+        cloud = io.read_cloud(file, columns=(), scan=scan)
         rings = [("", None)]
         if polygon is not None:
             rings = io.read_outlines(polygon, crs=cloud.crs, points=cloud)
@@ -202,7 +185,15 @@ def pattern(clouds: list[Path], /, *, polygon: str | None = None):
 
 
 @table
-def map_(clouds: list[Path], /, *, out: Path, cell: float = 0.5, metrics: str | None = None):
+def map_(
+    clouds: list[Path],
+    /,
+    *,
+    out: Path,
+    cell: float = 0.5,
+    polygon: str | None = None,
+    metrics: str | None = None,
+):
     """Map the quality of a campaign: density, d1..d4, f, sigma_MAD in every cell.
 
     The tiles of the map are kept in a folder beside it, whose name ends in .run. An interrupted
@@ -216,6 +207,8 @@ def map_(clouds: list[Path], /, *, out: Path, cell: float = 0.5, metrics: str | 
         Write the map into this file: .nc (NetCDF) or .tif (GeoTIFF).
     cell
         Side of the square cells, m.
+    polygon
+        Outlines of areas, of the forms that evaluate reads; each has its own rows in the table.
     metrics
         More metrics, such as e95_of_3,noise_of_a_mean,MODULE:FUNCTION, or all; see evaluate.
     """
@@ -229,7 +222,30 @@ def map_(clouds: list[Path], /, *, out: Path, cell: float = 0.5, metrics: str | 
         folder = maps.map_campaign(clouds, out.with_suffix(".run"), cell=cell, metrics=chosen)
     dataset = maps.open_map(folder)
     maps.write_map(out, dataset)
-    return maps.summarise(dataset).assign(remarks=dataset.attrs["remarks"])
+    summary = maps.summarise(dataset) if polygon is None else _by_areas(dataset, polygon)
+    return summary.assign(remarks=dataset.attrs["remarks"])
+
+
+def _by_areas(dataset, polygon):
+    """The summary of the cells whose middles lie within each outline."""
+    import numpy as np
+    import pandas as pd
+    import pyproj
+    import xarray as xr
+
+    from mmqa_lab import chart_cloud, io, maps
+
+    axes = [dataset["x"].values, dataset["y"].values, [0.0]]
+    middles = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)
+    place = dataset.get("spatial_ref")
+    crs = None if place is None else pyproj.CRS(place.attrs["crs_wkt"])
+    parts = []
+    for name, ring in io.read_outlines(polygon, crs=crs, points=middles):
+        inside = chart_cloud.inside_polygon(middles, ring * [1, 1, 0])
+        within = inside.reshape(len(axes[1]), -1)
+        part = maps.summarise(dataset.where(xr.DataArray(within, dims=("y", "x"))))
+        parts.append(part.assign(outline=name))
+    return pd.concat(parts, ignore_index=True)
 
 
 @table

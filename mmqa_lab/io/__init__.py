@@ -7,6 +7,7 @@ its name says; ``files`` is how a file is written and read at all.
 
 from mmqa_lab.io.cameras import read_camera
 from mmqa_lab.io.clouds import CLOUD_ENDINGS, iterate_cloud, read_cloud
+from mmqa_lab.io.contents import describe_file
 from mmqa_lab.io.files import own_folder, write_atomically
 from mmqa_lab.io.images import IMAGE_ENDINGS, read_bands, read_image
 from mmqa_lab.io.las import LAS_ENDINGS, write_cloud
@@ -23,6 +24,7 @@ from mmqa_lab.io.trajectories import read_trajectory
 
 __all__ = [
     "CLOUD_ENDINGS", "IMAGE_ENDINGS", "LAS_ENDINGS", "OUTLINE_ENDINGS", "coordinate_columns",
+    "describe_file",
     "is_raster", "iterate_cloud", "own_folder", "read_bands", "read_camera", "read_cloud",
     "read_heights", "read_image", "read_outlines", "read_polygon", "read_segments", "read_table",
     "read_trajectory", "with_numbers", "write_atomically", "write_cloud", "write_outlines",

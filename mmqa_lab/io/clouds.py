@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mmqa_lab._checks import check_choice, check_columns, check_file
+from mmqa_lab._checks import check_choice, check_columns, check_file, refuse
 from mmqa_lab.cloud import Cloud, unit_remarks
 from mmqa_lab.io.e57 import e57_pieces
 from mmqa_lab.io.las import LAS_ENDINGS, las_pieces
@@ -31,7 +31,12 @@ TEXT_ENDINGS = (".txt", ".csv", ".xyz", ".pts", ".asc")
 CLOUD_ENDINGS = (*LAS_ENDINGS, ".e57", ".pcd", ".ply", ".ptx", *TEXT_ENDINGS)
 
 
-def read_cloud(path: str | os.PathLike, *, columns: Sequence[str] | None = None) -> Cloud:
+def read_cloud(
+    path: str | os.PathLike,
+    *,
+    columns: Sequence[str] | None = None,
+    scan: int | str | None = None,
+) -> Cloud:
     """Read a cloud file whole.
 
     Points that their producer took out of the surface are left out with a count, as the LAS
@@ -51,6 +56,8 @@ def read_cloud(path: str | os.PathLike, *, columns: Sequence[str] | None = None)
         among others; without a header x, y, z come first. ``#``, ``//`` and ``%`` begin a comment.
     columns : sequence of str, optional
         The per-point columns to keep; all when not given.
+    scan : int or str, optional
+        The scan of an E57 or PTX file to read, by its number from 0, or by its name.
 
     Returns
     -------
@@ -81,14 +88,18 @@ def read_cloud(path: str | os.PathLike, *, columns: Sequence[str] | None = None)
     >>> len(cloud), "gps_time" in cloud
     (28185, True)
     """
-    cloud = Cloud.concatenate(iterate_cloud(path, columns=columns), name=Path(path).stem)
+    cloud = Cloud.concatenate(iterate_cloud(path, columns=columns, scan=scan), name=Path(path).stem)
     if not len(cloud):
         raise ValueError(f"Invalid cloud {path}: no points. Must contain one or more.")
     return cloud
 
 
 def iterate_cloud(
-    path: str | os.PathLike, *, columns: Sequence[str] | None = None, chunk: int = 1_000_000
+    path: str | os.PathLike,
+    *,
+    columns: Sequence[str] | None = None,
+    scan: int | str | None = None,
+    chunk: int = 1_000_000,
 ) -> Iterator[Cloud]:
     """Yield a cloud file in pieces; LAS and LAZ in such of at most ``chunk`` points.
 
@@ -110,10 +121,12 @@ def iterate_cloud(
     if form in ("las", "laz"):
         pieces = las_pieces(path, chunk, columns)
     elif form in ("e57", "ptx"):
-        pieces = readers[form](path)
+        pieces = readers[form](path, scan)
     else:
         read = readers[form](path) if form in readers else text_places(path, "cloud", finite=False)
         pieces = [Piece(*read)]
+    scans = scan is None or form in ("e57", "ptx")
+    refuse(not scans, f"scan {scan} of cloud {path}", "no scans in it", "left away")
     read, dropped, counted = 0, Counter(), Counter()
     for piece in pieces:
         piece = piece._replace(columns=_known(piece.columns))
@@ -131,6 +144,7 @@ def iterate_cloud(
             for remark in unit_remarks(cloud, crs=cloud.crs, share=share):
                 warnings.warn(f"{path}: {remark}", stacklevel=3)
         yield cloud
+    refuse(scan is not None and not read, f"scan {scan} of cloud {path}", "none of it", "in it")
     told = [("Dropped", *row) for row in dropped.items()]
     for verb, reason, count in [*told, *(("Counted", *row) for row in counted.items())]:
         warnings.warn(f"{verb} {count} of {read} points of {path} that {reason}.", stacklevel=3)

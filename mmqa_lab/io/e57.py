@@ -22,8 +22,8 @@ E57_COLUMNS |= {"rowIndex": "row", "columnIndex": "column", "timeStamp": "time"}
 MOST_PER_BYTE = 64
 
 
-def e57_pieces(path):
-    """The scans of an E57 file, each as a piece with its number in the column ``scan``."""
+def e57_pieces(path, scan=None):
+    """The scans of an E57 file, or the one of this number or name; numbers in a column ``scan``."""
     pye57 = needs("files", "pye57")
     with reading(path, "cloud", E57):
         file = pye57.E57(str(path))
@@ -33,6 +33,8 @@ def e57_pieces(path):
     refuse(not headers, what, "no scans", E57)
     refuse(total > most, what, f"{total} points in so few bytes", E57)
     for number, header in enumerate(headers):
+        if scan is not None and str(scan) not in (str(number), _name(header)):
+            continue
         with reading(path, "cloud", E57):
             places = CARTESIAN if CARTESIAN[0] in header.point_fields else SPHERICAL
             known = pye57.e57.SUPPORTED_POINT_FIELDS
@@ -60,3 +62,8 @@ def e57_pieces(path):
             total,
             {"their scanner marked as invalid": invalid},
         )
+
+
+def _name(header):
+    """The name of a scan; "" for none."""
+    return header["name"].value() if header.node.isDefined("name") else ""

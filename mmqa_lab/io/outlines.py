@@ -22,6 +22,7 @@ from mmqa_lab._checks import (
     check_same_crs,
     is_file,
     needs,
+    polygon_rings,
     refuse,
 )
 from mmqa_lab.io.files import plain_text, reading, write_atomically
@@ -47,7 +48,10 @@ FAR_OFF = 5.0
 
 
 def read_outlines(
-    source: str | os.PathLike, *, crs: object = None, points: ArrayLike | None = None
+    source: str | os.PathLike,
+    *,
+    crs: object = None,
+    points: ArrayLike | None = None,
 ) -> tuple[tuple[str, np.ndarray], ...]:
     """Read the outlines of one or more surfaces.
 
@@ -65,16 +69,16 @@ def read_outlines(
     Returns
     -------
     tuple of (name, array of shape (m, 3))
-        Metres, m >= 3, in order, the first vertex not repeated at the end. Without names they are
-        numbered from 1.
+        Metres, m >= 3, in order, the first vertex not repeated at the end. A hole is a closed ring
+        behind the first vertex once more. Without names they are numbered from 1.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     ValueError
-        If there is no outline, one has holes or neither heights nor a cloud, or it is not in metres
-        and the cloud names no coordinate system.
+        If there is no outline, one has neither heights nor a cloud, or it is not in metres and the
+        cloud names no coordinate system.
 
     See Also
     --------
@@ -88,6 +92,14 @@ def read_outlines(
         except ValueError as error:
             raise ValueError(f"Invalid polygon {text!r}. Must be 'x,y,z; x,y,z; x,y,z'.") from error
         return (("1", check_polygon(vertices)),)
+    names, rings, own = stored_outlines(source)
+    points = None if points is None else np.asarray(points)
+    placed = [_placed(ring, own, crs, points, f"polygon {source}") for ring in rings]
+    return tuple(zip(names, placed, strict=True))
+
+
+def stored_outlines(source: str | os.PathLike) -> tuple[list[str], list[np.ndarray], Any]:
+    """The names of a file's outlines, their vertices as they stand there, and their system."""
     path, what = check_file(source, "polygon"), f"polygon {source}"
     ending = path.suffix.lower()
     if ending in JSON_ENDINGS:
@@ -101,15 +113,13 @@ def read_outlines(
             found = re.findall(r"(?:MULTI)?POLYGON[^A-Z\"]*Z?[^A-Z\"]*", raw.decode())
             shapes, own = [(None, shapely.from_wkt(one)) for one in found], None
     else:
-        return (("1", check_polygon(text_places(source, "polygon")[0], name=what)),)
-    rings = [(name, ring) for name, shape in shapes for ring in _rings(shape, what)]
+        return ["1"], [check_polygon(text_places(source, "polygon")[0], name=what)], None
+    rings = [(name, ring) for name, shape in shapes for ring in _rings(shape)]
     kinds = ", ".join(sorted({shape.geom_type for _, shape in shapes})) or "unknown"
     refuse(not rings, what, f"of type {kinds}", "one polygon or more")
     names = [str(name or number) for number, (name, _) in enumerate(rings, 1)]
     names = [f"{one} ({k})" if one in names[:k] else one for k, one in enumerate(names)]
-    points = None if points is None else np.asarray(points)
-    placed = [_placed(ring, own, crs, points, what) for _, ring in rings]
-    return tuple(zip(names, placed, strict=True))
+    return names, [ring for _, ring in rings], own
 
 
 def read_polygon(
@@ -185,19 +195,18 @@ def _name(fields):
     return next((plain[name] for name in NAME_FIELDS if plain.get(name) not in (None, "")), None)
 
 
-def _rings(shape, what):
-    """The rings of a shape's polygons; a line that ends where it begins is one."""
+def _rings(shape):
+    """The vertices of a shape's polygons with their holes; a line that is closed is one, too."""
     import shapely
 
     for part in shapely.get_parts(shape):
         if part.geom_type in ("MultiPolygon", "GeometryCollection"):
-            yield from _rings(part, what)
+            yield from _rings(part)
         closed = part.geom_type == "LineString" and part.is_closed
         if part.geom_type == "Polygon" or closed:
-            holes = 0 if closed else len(part.interiors)
-            refuse(holes, what, f"{holes + 1} rings, so a hole", "of one ring")
-            line = part if closed else part.exterior
-            yield shapely.get_coordinates(line, include_z=part.has_z)
+            lines = [part] if closed else [part.exterior, *part.interiors]
+            outline, *holes = (shapely.get_coordinates(one, include_z=part.has_z) for one in lines)
+            yield np.concatenate([outline, *(np.append(h, outline[:1], axis=0) for h in holes)])
 
 
 def _placed(ring, own, crs, points, what):
@@ -231,7 +240,7 @@ def _laid(plan, points, what):
     import shapely
 
     middle = plan.mean(axis=0)
-    inside = points[shapely.contains_xy(shapely.Polygon(plan), *points[:, :2].T)]
+    inside = points[shapely.contains_xy(_shape(plan), *points[:, :2].T)]
     refuse(len(inside) < 3, what, f"{len(inside)} points inside it", "over the cloud")
     sides = np.column_stack([inside[:, :2] - middle, np.ones(len(inside))])
     near = np.ones(len(inside), bool)
@@ -240,8 +249,16 @@ def _laid(plan, points, what):
         off = np.abs(inside[:, 2] - sides @ slope)
         near = off <= FAR_OFF * np.median(off)
     warnings.warn(f"The outlines of {what} have no heights: laid onto the cloud.", stacklevel=5)
-    heights = np.column_stack([plan - middle, np.ones(len(plan))]) @ slope
+    heights = (plan - middle)[:, 0] * slope[0] + (plan - middle)[:, 1] * slope[1] + slope[2]
     return check_polygon(np.column_stack([plan, heights]), name=what)
+
+
+def _shape(vertices):
+    """A polygon with its holes."""
+    import shapely
+
+    rings = [vertices[rows] for rows in polygon_rings(vertices)]
+    return shapely.Polygon(rings[0], rings[1:])
 
 
 def write_outlines(
@@ -280,7 +297,7 @@ def write_outlines(
         import shapely
 
         pyogrio = needs("files", "pyogrio")
-        shapes = np.array([shapely.to_wkb(shapely.Polygon(ring)) for ring in rings.values()])
+        shapes = np.array([shapely.to_wkb(_shape(ring)) for ring in rings.values()])
         names = [np.array([*map(str, rings)], dtype=object)]
         layout = {"geometry_type": "Polygon Z", "driver": "GPKG", "layer": "outlines"}
         wkt = None if crs is None else crs.to_wkt()
@@ -292,7 +309,7 @@ def write_outlines(
         {
             "type": "Feature",
             "properties": {"name": str(name)},
-            "geometry": {"type": "Polygon", "coordinates": [[*ring.tolist(), ring[0].tolist()]]},
+            "geometry": _shape(ring).__geo_interface__,
         }
         for name, ring in rings.items()
     ]
@@ -314,6 +331,4 @@ def write_polygon(path: str | os.PathLike, vertices: ArrayLike) -> None:
     [1.0, 0.0, 0.1]
     """
     check_choice(Path(path).suffix.lower(), "ending", JSON_ENDINGS)
-    ring = check_polygon(vertices).tolist()
-    node = {"type": "Polygon", "coordinates": [[*ring, ring[0]]]}
-    write_atomically(path, json.dumps(node))
+    write_atomically(path, json.dumps(_shape(check_polygon(vertices)).__geo_interface__))

@@ -25,8 +25,8 @@ PTX_HEAD = re.compile(
 ROW = re.compile(rb"[^\n]*\S[^\n]*(?:\n|$)")
 
 
-def ptx_pieces(path):
-    """The scans of a PTX file, each as a piece with its number in the column ``scan``."""
+def ptx_pieces(path, scan=None):
+    """The scans of a PTX file, or the one of this number; numbers in a column ``scan``."""
     text, at, number = plain_text(path), 0, 0
     while text[at:].strip():
         head = PTX_HEAD.match(text, at)
@@ -46,5 +46,6 @@ def ptx_pieces(path):
         columns["scan"] = np.full(len(rows), number)
         columns["column"], columns["row"] = np.divmod(np.arange(len(rows)), high)
         none = {"have no return": (own == 0).all(axis=1)}
-        yield Piece(own @ matrix[:3, :3] + matrix[3, :3], columns, left=none)
+        if scan in (None, number, str(number)):
+            yield Piece(own @ matrix[:3, :3] + matrix[3, :3], columns, left=none)
         at, number = end, number + 1

@@ -22,7 +22,7 @@ from mmqa_lab.io.images import MOST_VALUES, TIFF_ENDINGS
 from mmqa_lab.io.systems import named_system
 from mmqa_lab.io.tables import NO_HEIGHT_M
 
-__all__ = ["is_raster", "open_raster", "read_heights", "write_raster"]
+__all__ = ["is_raster", "open_raster", "read_heights", "system_of", "write_raster"]
 
 RASTERS = "a raster of one band, as GeoTIFF, ESRI grid or NetCDF, with its place"
 
@@ -134,7 +134,7 @@ def _raster_cloud(path):
         found = f"scale {scale:g} and offset {offset:g}"
         refuse(not usable, what, found, "numbers, no scale of 0")
         place = file.transform
-        crs = _system(file.crs, what)
+        crs = system_of(file, what)
         nowhere = place.is_identity or (crs is None and place.c == place.f == 0)
         refuse(nowhere, what, "no tie point or no size of its cells", RASTERS)
         width = min(np.hypot(place.a, place.d), np.hypot(place.b, place.e))
@@ -151,9 +151,9 @@ def _raster_cloud(path):
     return Cloud(np.stack([x, y, z], axis=1), crs=crs), heights.size
 
 
-def _system(stated, what):
+def system_of(file, what):
     """The coordinate system of a raster; None for one in metres without a place on the globe."""
-    crs = named_system(stated.to_wkt(), what) if stated else None
+    crs = named_system(file.crs.to_wkt(), what) if file.crs else None
     local = crs is not None and not (crs.is_geographic or crs.is_projected or crs.is_compound)
     return None if local and crs.axis_info[0].unit_conversion_factor == 1 else crs
 

@@ -15,7 +15,7 @@ from mmqa_lab.io.path_doubts import DAY_S, WEEK_S, check_headings, check_scales,
 from mmqa_lab.io.systems import named_system
 from mmqa_lab.io.tables import text_table, with_numbers
 
-__all__ = ["read_trajectory"]
+__all__ = ["SBET_ENDINGS", "path_table", "read_trajectory"]
 
 # Columns of a vehicle's path, and other names of them without blanks; the first that is there.
 PATH_COLUMNS = ["time_s", "easting_m", "northing_m", "height_m"]
@@ -95,9 +95,7 @@ def read_trajectory(
     >>> path[["time_s", "height_m", "heading_deg"]].to_numpy().tolist()
     [[0.5, 2.0, 90.0]]
     """
-    what, file = f"trajectory {path}", check_file(path, "trajectory")
-    sbet = file.suffix.lower() in SBET_ENDINGS
-    raw = _sbet(file, what) if sbet else _named(text_table(path, "trajectory", header=PATH_HEADER))
+    what, raw = f"trajectory {path}", path_table(path)
     used = coordinate_columns(raw.columns)
     table = raw[used].set_axis(PATH_COLUMNS[1 : 1 + len(used)], axis=1)
     plain = {_name_and_unit(column): column for column in reversed(raw.columns)}
@@ -139,6 +137,14 @@ def read_trajectory(
         check_columns(table, ["heading_deg"], f"{what}, in which the GPS week ends")
         warnings.warn(f"The GPS week ends within {what}: its times are in two parts.", stacklevel=2)
     return table[[name for name in PATH_ORDER if name in table]]
+
+
+def path_table(path: str | os.PathLike) -> pd.DataFrame:
+    """The rows of a path as they stand in its file, with usual names."""
+    file = check_file(path, "trajectory")
+    if file.suffix.lower() in SBET_ENDINGS:
+        return _sbet(file, f"trajectory {path}")
+    return _named(text_table(path, "trajectory", header=PATH_HEADER))
 
 
 def _sbet(file, what):

@@ -191,7 +191,7 @@ def _wide(coarse, axes):
     band = np.searchsorted(BANDS_M, coarse[b[away], 2], side="right")
     shares = _arcs(a[away] * (len(BANDS_M) + 1) + band, off[away], len(axes) * (len(BANDS_M) + 1))
     names = [f"around_{name}" for name in ("low", "mid", "high", "top")]
-    return dict(zip(names, shares.reshape(len(axes), -1).T, strict=True))
+    return dict(zip(names, shares.reshape(len(axes), len(names)).T, strict=True))
 
 
 def _head(a, across, height, k):
