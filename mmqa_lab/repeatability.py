@@ -17,6 +17,7 @@ from scipy.stats import chi2
 
 from mmqa_lab._checks import check_columns, check_count, check_number, check_polygon, check_positive
 from mmqa_lab._results import Shown
+from mmqa_lab._streams import stream
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.planes import fit_plane
 
@@ -83,7 +84,7 @@ def operator_polygons(
     steps = np.arange(vertices // 4)[:, None] * 4 / vertices
     sides = np.roll(corners, -1, axis=0) - corners
     outline = (corners[:, None] + steps * sides[:, None]).reshape(-1, 3)
-    errors = click * np.random.default_rng(seed).standard_normal((repeats, vertices, 2))
+    errors = click * stream(seed, "operator_polygons").standard_normal((repeats, vertices, 2))
     return outline + errors @ plane.axes
 
 

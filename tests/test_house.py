@@ -19,7 +19,7 @@ ROOT = Path(mmqa_lab.__file__).parent.parent
 PACKAGE, TESTS = ROOT / "mmqa_lab", ROOT / "tests"
 
 LAYERS = (
-    "__init__ _data _checks _compiled _results rotations",
+    "__init__ _data _checks _compiled _results _streams rotations",
     "cloud published",
     "stats spacing planes plane_search io",
     "scan_pattern charts samples metrics chart_cloud test_field lines radiometry repeatability",
@@ -39,6 +39,7 @@ OTHER_TESTS = {
     "_checks": "bad_inputs",
     "_compiled": "spacing",
     "_data": "house",
+    "_streams": "kinds",
     "plane_search": "lines_edges",
     "plots": "figures",
 }
@@ -80,7 +81,7 @@ def test_imports_point_down(path):
 
 def test_the_package_lists_its_rooms_in_the_order_of_their_imports():
     listed = re.findall(r"^- ``(\w+)``: ", mmqa_lab.__doc__, re.MULTILINE)
-    inside = {"__init__", "__main__", "_compiled", "_results"}
+    inside = {"__init__", "__main__", "_compiled", "_results", "_streams"}
     for row in LAYERS:
         rooms = set(row.split()) - inside
         assert set(listed[: len(rooms)]) == rooms

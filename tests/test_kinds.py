@@ -22,11 +22,12 @@ import shapely
 import xarray as xr
 
 import mmqa_lab
-from mmqa_lab import charts, io, simulate
+from mmqa_lab import charts, io, scan_pattern, simulate
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.mtf.transfer import spread_edge
-from mmqa_lab.simulate.targets import PointSpread, render_star
+from mmqa_lab.simulate import cameras, canyon, systems, test_field
+from mmqa_lab.simulate.targets import PointSpread, blocks, render_star
 
 RNG = np.random.default_rng(6)
 
@@ -663,3 +664,78 @@ def test_a_result_that_was_written_is_the_same_result_when_it_is_read(tmp_path):
         io.write_atomically(tmp_path / "t.csv", table)
         again = function(io.read_table(tmp_path / "t.csv", "table"))
         assert again.equals(function(table))
+
+
+# Independent draws
+
+HAND_ON = "drive drive_test_field drive_past crown"
+"""Functions that draw nothing themselves: they hand their seed on."""
+
+SETUP = scan_pattern.ScanSetup(
+    pulse_rate_hz=3e5, mirror_frequency_hz=100, speed_m_s=10, scanner_heading_deg=45,
+    scanner_tilt_deg=45,
+)  # fmt: skip
+SCANNER = simulate.Scanner(pulse_rate_hz=1000, mirror_frequency_hz=10)
+ROAD = simulate.Scene([simulate.ground()]), SCANNER
+VIEW = cameras.chart_view(cameras.PanoramaCamera.of_megapixels(30), distance=10, layout=PRINTED)
+DRAWING = {
+    "bootstrap": lambda f: f(np.mean, VALUES, repeats=2, seed=3),
+    "canyon": lambda f: f(3),
+    "canyon_cloud": lambda f: f(canyon.canyon(1), "C1", density=0.01, seed=3),
+    "expose": lambda f: f(GREY, gain=1.0, seed=3),
+    "fly_block": lambda f: f(seed=3),
+    "foliage": lambda f: f((0, 0, 5), 2.0, leaves=5, leaf_radius=0.1, seed=3),
+    "ground": lambda f: f(test_field.make_test_field(length_m=40, seed=1), seed=3),
+    "make_test_field": lambda f: f(length_m=40, seed=3),
+    "measured": lambda f: f(simulate.straight(9, 9), simulate.NavigationErrors(), seed=3),
+    "operator_polygons": lambda f: f(SQUARE, repeats=3, click=0.01, seed=3),
+    "pass_chart": lambda f: f(systems.SYSTEM_B, 9.0, seed=3),
+    "pass_chart:camera": lambda f: f(systems.SYSTEM_C, 5.0, seed=3),
+    "photograph": lambda f: f(PRINTED, VIEW, margin=0, seed=3),
+    "point_chart": lambda f: f(seed=3),
+    "point_pattern": lambda f: f("poisson", density=9, size=1, seed=3),
+    "propagate": lambda f: f(SETUP, scan_pattern.Target(range_m=8), sigmas={}, draws=100, seed=3),
+    "radiance": lambda f: f(blocks.ATMOSPHERES["clean"], 0.2, seed=3),
+    "scan": lambda f: f(*ROAD, simulate.straight(1, 10, start=(0, 0, 2)), seed=3),
+    "street": lambda f: f("quiet", length=60, seed=3),
+    "texture": lambda f: f((9, 9), seed=3),
+    "with_speed_variation": lambda f: f(simulate.straight(9, 9), share=0.1, seed=3),
+}
+
+
+def taking_a_seed():
+    """The public functions and methods of rooms that take a seed, by name."""
+    for room in ("charts", "repeatability", "scan_pattern", "simulate", "stats"):
+        top = importlib.import_module(f"mmqa_lab.{room}")
+        inside = pkgutil.walk_packages(getattr(top, "__path__", ()), f"{top.__name__}.")
+        for module in [top.__name__, *(one.name for one in inside)]:
+            for found in vars(importlib.import_module(module)).values():
+                for one in vars(found).values() if inspect.isclass(found) else [found]:
+                    ours = inspect.isfunction(one) and one.__module__ == module
+                    if (
+                        ours
+                        and one.__name__[0] != "_"
+                        and "seed" in inspect.signature(one).parameters
+                    ):
+                        yield one.__name__, one
+
+
+def test_functions_that_take_a_seed_draw_uncorrelated_numbers_for_one_seed(monkeypatch):
+    functions = dict(taking_a_seed())
+    assert {*functions} == {name.partition(":")[0] for name in DRAWING} | {*HAND_ON.split()}
+    sound, drawn, begun = np.random.default_rng, {}, []
+
+    def recorded(*seed):
+        begun.append(tuple(np.ravel(seed).tolist()))
+        return sound(*seed)
+
+    monkeypatch.setattr(np.random, "default_rng", recorded)
+    for name, call in DRAWING.items():
+        call(functions[name.partition(":")[0]])
+        keys = {key for key in begun if key and key[0] == 3}
+        assert keys, name
+        for key in keys:
+            drawn[name, key] = sound(list(key)).standard_normal(2000)
+        begun.clear()
+    alike = np.triu(np.abs(np.corrcoef([*drawn.values()])) > 0.1, 1)
+    assert not [[[*drawn][k] for k in pair] for pair in np.argwhere(alike)]

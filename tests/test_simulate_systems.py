@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mmqa_lab import published, simulate
+from mmqa_lab._streams import stream
 from mmqa_lab.chart_cloud import chart_polygon, evaluate_cloud
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.scan_pattern import Patch, ScanSetup, scan_lattice
@@ -23,7 +24,7 @@ def read(cloud, distance):
 def test_points_of_a_pitched_multi_beam_scanner_equal_brute_force():
     distance, height, seed = 5.0, 1.0, 5
     cloud = systems.pass_chart(EXACT_B, distance, seed=seed, height=height)
-    shift = np.random.default_rng(seed).uniform(-0.5, 0.5)
+    shift = stream(seed, "pass_chart").uniform(-0.5, 0.5)
     start = shift - systems.REACH * distance
     pulse = np.arange(int(2 * systems.REACH * distance / systems.SPEED * EXACT_B.pulse_rate_hz))
     time = pulse / EXACT_B.pulse_rate_hz

@@ -36,9 +36,9 @@ MOST_VALUES = 9e8
 # Pages of a TIFF file that are compared with its first.
 LISTED_PAGES = 100
 
-# What libjpeg prints of a picture that it then fills up; the stream is that of the whole process.
+# What libjpeg and libtiff print of a picture that they then fill up, on the process's stream.
 DAMAGED = re.compile(
-    rb"Corrupt JPEG data(?!: \d+ extraneous bytes before marker 0xd9)|Premature end"
+    rb"Corrupt JPEG data(?!: \d+ extraneous bytes before marker 0xd9)|Premature end|TIFF_Error"
 )
 DECODING = threading.Lock()
 
@@ -206,8 +206,7 @@ def _decoded(path, flags):
     if data[:2] == b"\x89P":
         _check_pixels(path, struct.unpack(">II", data[16:24].ljust(8, b"\0")))
     _say_profile(data, path)
-    # OpenCV prints what it dislikes of a file; the sentence says it
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
     with reading(path, "image", IMAGES), _printed_below() as printed:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)  # any letters in the path
     refuse(DAMAGED.search(printed.getvalue()), f"image {path}", "damaged", IMAGES)

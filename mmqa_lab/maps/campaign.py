@@ -225,7 +225,7 @@ def _sort_file(own, file, cell, tile, again):
             if not len(part):
                 continue
             ends += [*extent(part.points)]
-            check_extent(np.array(ends), cell)
+            check_extent(np.array(ends), cell, np.inf)
             order, starts, tiles = sort_into_cells(cells_of(part.points[:, :2], cell), tile)
             name = f"{key}_{number}{WORKING}"
             write_atomically(own / name, part.points.take(order, axis=0).tofile)
@@ -267,7 +267,8 @@ def _joined(files, run, said):
     if crs is not None and without:
         listed = ", ".join(without)
         remarks.append(f"No coordinate system in {listed}: taken for {crs.name}.")
-    check_extent(np.concatenate([file["about"][:2] for file in counted]), run["cell"])
+    ends = np.concatenate([file["about"][:2] for file in counted])
+    check_extent(ends, run["cell"], sum(file["n"] for file in counted))
     slices = pd.DataFrame(
         [row for file in counted for row in file["slices"]],
         columns=["name", "column", "row", "start", "stop"],

@@ -55,8 +55,9 @@ MINIMUM = 10
 # last but one stands for 95 % of them.
 CELL_PLACES = np.outer(np.arange(1, 31), STEPS) % 1
 
-# Most cells in the rectangle of a map, 8 GB: 5 km x 5 km for cells of half a metre.
-MOST_MAP_CELLS = 1e8
+# Most cells in the rectangle of a map, 8 GB: 5 km x 5 km for cells of half a metre; and of few
+# points, as with one far away by mistake.
+MOST_MAP_CELLS, MOST_PER_POINT, ALWAYS = 1e8, 1000, 1e6
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -118,7 +119,7 @@ def map_cloud(
     step, crs = getattr(points, "resolution", np.nan), getattr(points, "crs", None)
     points = check_points(points)
     cell, radius = check_positive(cell, "cell", unit="m"), check_positive(radius, "radius")
-    check_extent(points, cell)
+    check_extent(points, cell, len(points))
     step = np.fmax(step, step_of(points))
     functions = chosen_metrics(metrics)
     index = cells_of(points[:, :2], cell)
@@ -136,13 +137,14 @@ def chosen_metrics(metrics):
     return {name: METRICS[check_known(name, "metric", METRICS)] for name in metrics}
 
 
-def check_extent(points, cell):
-    """Refuse clouds that are too wide, such as clouds in millimetres."""
+def check_extent(points, cell, count):
+    """Refuse clouds that are too wide for their points, such as clouds in millimetres."""
     size = np.ptp(extent(points), axis=0)[:2]
-    if np.prod(size / cell + 1) > MOST_MAP_CELLS:
+    most = min(MOST_MAP_CELLS, ALWAYS + MOST_PER_POINT * count)
+    if np.prod(size / cell + 1) > most:
         wide = " x ".join(f"{length / 1000:.4g} km" for length in size)
-        most = f"{MOST_MAP_CELLS / 1e6:.0f} million cells of {cell} m"
-        raise ValueError(f"Invalid clouds over {wide}. Must lie in {most}, in metres.")
+        told = f"{most / 1e6:.0f} million cells of {cell} m"
+        raise ValueError(f"Invalid clouds over {wide}. Must lie in {told}, in metres.")
 
 
 def evaluated_cells(points, index, inner, cell, radius, metrics):

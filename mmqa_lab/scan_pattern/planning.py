@@ -10,6 +10,7 @@ import pandas as pd
 from scipy.optimize import brentq
 
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
+from mmqa_lab._streams import stream
 from mmqa_lab.scan_pattern.lattice import LATTICE_QUANTITIES, SMOOTH, scan_lattice
 from mmqa_lab.scan_pattern.mimic import target_normal
 from mmqa_lab.scan_pattern.setup import SETUP_NAMES, TARGET_NAMES, Patch, ScanSetup, Target
@@ -188,7 +189,7 @@ def propagate(
     for name, sigma in sigmas.items():
         check_choice(name, "input", INPUTS)
         check_number(sigma, f"sigma of {name}", low=0)
-    draws, rng = check_count(draws, "draws", low=100), np.random.default_rng(seed)
+    draws, rng = check_count(draws, "draws", low=100), stream(seed, "propagate")
     predicted = scan_lattice(setup, target).to_frame().iloc[0].to_numpy()
     errors = {name: sigma * rng.standard_normal(draws) for name, sigma in sigmas.items()}
     try:

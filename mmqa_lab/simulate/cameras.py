@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
+from mmqa_lab._streams import stream
 from mmqa_lab.chart_image import ChartMap, PanoramaCamera
 from mmqa_lab.charts import Layout, encode, reflectance
 
@@ -213,7 +214,7 @@ def photograph(
         tones = _mosaic(tones)
     signal = sensor.black + (sensor.white - sensor.black) * tones
     origin = tuple(int(place) for place in low)
-    return Photo(_recorded(signal, sensor, np.random.default_rng(seed)), inside, origin)
+    return Photo(_recorded(signal, sensor, stream(seed, "photograph")), inside, origin)
 
 
 def _window(layout, chart_map, margin):

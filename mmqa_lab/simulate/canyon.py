@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import check_choice, check_number, check_positive
+from mmqa_lab._streams import stream
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.simulate.canyon_houses import (
     house_edges,
@@ -138,7 +139,7 @@ def canyon(
     angle_noise_deg = check_number(angle_noise_deg, "angle_noise_deg", low=0)
     shared = SHARED_BIAS_M if displacement_m is None else (displacement_m, displacement_m)
     check_number(shared[0], "displacement_m", low=0, unit="m")
-    rng = np.random.default_rng(seed)
+    rng = stream(seed, "canyon")
     buildings = houses(rng)
     ends, street = house_edges(buildings, rng)
     found = seen(len(ends), rng)
@@ -226,7 +227,7 @@ def canyon_cloud(
     """
     positioning = scene.surveys[check_choice(survey, "survey", scene.surveys)].positioning
     density = check_positive(density, "density", unit="per m2")
-    rng = np.random.default_rng(seed)
+    rng = stream(seed, "canyon_cloud")
     faces, streets = canyon_faces(scene)
     corner, along, up = faces[:, 0], faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0]
     area = np.linalg.norm(np.cross(along, up), axis=1)

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from mmqa_lab._checks import check_choice, check_number, check_positive
+from mmqa_lab._streams import stream
 from mmqa_lab.spacing import poisson_spacing
 
 __all__ = [
@@ -104,7 +105,7 @@ def point_pattern(
     size = check_positive(size, "size", unit="m")
     ratio = check_number(ratio, "ratio", low=1)
     check_number(noise, "noise", low=0, unit="m")
-    rng = np.random.default_rng(seed)
+    rng = stream(seed, "point_pattern")
     reach = size * np.sqrt(0.5) + 5 * noise
     lines = kind in ("scan_lines", "two_heads")
     drawn = partial(_scan_lines, jitter=jitter) if lines else _DRAWN[kind]

@@ -16,6 +16,7 @@ import numpy as np
 
 from mmqa_lab._checks import check_number, check_points, check_positive, check_values
 from mmqa_lab._compiled import njit
+from mmqa_lab._streams import stream
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.rotations import across, rotations
 from mmqa_lab.simulate.scenes import Scene
@@ -242,7 +243,7 @@ def scan(
         first, last = (int(np.ceil(t * head.pulse_rate_hz)) for t in (start, stop))
         cuts = np.append(np.arange(first, max(last, first + 1), 100_000), last)
         pulses += [(number, np.arange(*ends)) for ends in pairwise(cuts)]
-    streams = [np.random.default_rng([*np.atleast_1d(seed), n]) for n in range(len(heads))]
+    streams = [stream(seed, f"scan by head {n}") for n in range(len(heads))]
     clouds = []
     for number, pulse in pulses:
         cloud = _shoot(scene, heads[number], trajectory, known, pulse, streams[number])

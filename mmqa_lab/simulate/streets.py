@@ -17,11 +17,11 @@ from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice, check_positive
 from mmqa_lab._data import read_toml
+from mmqa_lab._streams import stream
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.simulate import surfaces
 from mmqa_lab.simulate.scan import Scanner, scan
 from mmqa_lab.simulate.scenes import Scene
-from mmqa_lab.simulate.streams import stream
 from mmqa_lab.simulate.systems import PRESETS
 from mmqa_lab.simulate.trajectories import Trajectory, straight
 

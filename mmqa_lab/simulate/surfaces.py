@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_count, check_number, check_positive
+from mmqa_lab._streams import stream
 from mmqa_lab.simulate.primitives import (
     DISC,
     RECTANGLE,
@@ -282,7 +283,7 @@ def foliage(
     >>> len(crown), bool((abs(crown.centre - [0, 0, 5]) <= 2).all())
     (500, True)
     """
-    rng = np.random.default_rng(seed)
+    rng = stream(seed, "foliage")
     n = check_count(leaves, "leaves")
     way, places = rng.standard_normal((n, 3)), rng.random((n, 1)) ** (1 / 3)
     ball = places * way / np.linalg.norm(way, axis=1, keepdims=True)

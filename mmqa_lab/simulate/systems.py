@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 
 from mmqa_lab._checks import check_choice, check_number, check_positive
 from mmqa_lab._data import read_toml
+from mmqa_lab._streams import stream
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.simulate.point_patterns import hard_core_points
 from mmqa_lab.simulate.scan import Scanner, scan
@@ -257,10 +258,10 @@ def pass_chart(
     distance = check_positive(distance, "distance", unit="m")
     height = check_number(height, "height", unit="m")
     if isinstance(sensor, MatchingCamera):
-        return _matched(sensor, distance, height, np.random.default_rng(seed))
+        return _matched(sensor, distance, height, stream(seed, "matching"))
     chart = board((distance, 0, 0), 1, 1, heading=FACING_THE_ROAD, label="chart")
     corners = chart_corners((distance, 0, 0), heading=FACING_THE_ROAD)
-    shift = np.random.default_rng(seed).uniform(-0.5, 0.5)
+    shift = stream(seed, "pass_chart").uniform(-0.5, 0.5)
     path = straight(2 * REACH * distance, SPEED, start=(0, shift - REACH * distance, height))
     return drive_past(Scene([chart]), sensor, path, corners, seed=[seed])
 

@@ -15,10 +15,10 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_number, check_positive
+from mmqa_lab._streams import stream
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.simulate.scan import scan
 from mmqa_lab.simulate.scenes import Scene
-from mmqa_lab.simulate.streams import stream
 from mmqa_lab.simulate.surfaces import box, cylinder, rectangle
 from mmqa_lab.simulate.systems import System
 from mmqa_lab.simulate.trajectories import Trajectory, measured, straight
@@ -153,7 +153,7 @@ def make_test_field(
     if length < 40:
         raise ValueError(f"Invalid length_m {length_m}. Must be >= 40 m.")
     origin = np.array(ORIGIN)
-    rng = np.random.default_rng(seed)
+    rng = stream(seed, "make_test_field")
     poles, shafts = _poles(length, rng)
     houses, house_corners = _houses(length, rng)
     surfaces = [*_road(length), *houses, *shafts, *_cars(length)]

@@ -17,8 +17,8 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_number, check_points, check_positive
+from mmqa_lab._streams import stream
 from mmqa_lab.rotations import rotations
-from mmqa_lab.simulate.streams import stream
 
 __all__ = [
     "NavigationErrors", "Trajectory", "gauss_markov", "measured", "straight",

@@ -19,6 +19,7 @@ from mmqa_lab._checks import (
     refuse,
 )
 from mmqa_lab._results import Shown
+from mmqa_lab._streams import stream
 
 __all__ = ["Interval", "bootstrap", "mean_interval", "rank_correlation", "student_reach"]
 
@@ -92,7 +93,7 @@ def bootstrap(
     lengths = [len(a) for a in arrays]
     if len(set(lengths)) != 1 or not lengths[0]:
         raise ValueError(f"Invalid values of lengths {lengths}. Must be equal and above 0.")
-    rng = np.random.default_rng(seed)
+    rng = stream(seed, "bootstrap")
     n = lengths[0]
     picked = (rng.integers(n, size=n) for _ in range(check_count(repeats, "repeats")))
     drawn = np.array([statistic(*(a[rows] for a in arrays)) for rows in picked])

@@ -8,20 +8,24 @@ of the process, no answer. ``--count`` and ``--seed`` change how many and which.
 import argparse
 import collections
 import contextlib
+import io
 import json
 import os
 import random
 import resource
 import select
+import shutil
 import struct
 import subprocess
 import sys
 import tempfile
 import warnings
+import zipfile
 from pathlib import Path
 
 LIMIT_BYTES, LIMIT_S = 2 * 2**30, 20
 KINDS = ("flip", "cut", "insert", "zero", "extreme", "swap", "word")
+SHAPE = (".shp", ".shx", ".dbf", ".prj")
 WORDS = (b"nan", b"-1", b"1e999", b"99999999999999999999", b"", b"\xff\xfe", b"(" * 300, b"\0")
 WORDS += (b'"', b"<a>", b"&a;", b"[[[[", b"{}", b"2147483647", b"4294967295", b"inf", b"None")
 
@@ -86,6 +90,7 @@ def seeds(folder):
         cv2.imwrite(str(folder / f"grey{ending}"), grey)
     copc = samples.path("chart_b_5m")
     (folder / "tree.copc.laz").write_bytes(copc.read_bytes()) if copc.exists() else None
+    of_libraries(folder, cloud, np.array(ring) + [500_000, 5_400_000, 100])
     readers = {"ring": "polygon", "path": "trajectory", "segments": "segments", "table": "table"}
     readers |= {"camera": "camera", "page": "image", "grey": "image", "dem": "heights"}
     return {
@@ -93,8 +98,89 @@ def seeds(folder):
     }
 
 
+def of_libraries(folder, cloud, ring):
+    """Small files of the forms that come with the extra ``files``: scans, outlines, a workbook."""
+    import numpy as np
+    import pandas as pd
+    import pye57
+    import pyogrio
+    import pypcd4
+    import shapely
+
+    names = ("cartesianX", "cartesianY", "cartesianZ", "intensity")
+    columns = [*cloud.points.T, np.arange(60.0)]
+    file = pye57.E57(str(folder / "scans.e57"), mode="w")
+    for _ in range(2):
+        pose = {"rotation": np.array([1.0, 0, 0, 0]), "translation": np.array([1.0, 2, 3])}
+        file.write_scan_raw(dict(zip(names, columns, strict=True)), **pose)
+    file.close()
+    packed = [column.astype(np.float32) for column in columns]
+    made = pypcd4.PointCloud.from_points(packed, (*"xyz", "intensity"), [np.float32] * 4)
+    for form in ("ascii", "binary", "binary_compressed"):
+        made.save(folder / f"{form}.pcd", encoding=pypcd4.Encoding(form))
+    head = "6\n10\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n9 9 9 1\n"
+    rows = "\n".join(" ".join(f"{one:.4f}" for one in row) for row in np.stack(columns, axis=1))
+    (folder / "scans.ptx").write_text(f"{head}{rows}\n{head}{rows}\n")
+    records = np.zeros((9, 17))
+    records[:, 0], records[:, 1:3], records[:, 3] = np.arange(9), np.radians([48.7, 9.1]), 300
+    records[:, 1] += 1e-6 * np.arange(9)
+    (folder / "path.sbet").write_bytes(records.astype("<f8").tobytes())
+    shapes, name = np.array([shapely.to_wkb(shapely.Polygon(ring))]), [np.array(["a"], object)]
+    for ending in (".gpkg", ".shp"):
+        layout = {"geometry_type": "Polygon Z", "crs": "EPSG:25832"}
+        pyogrio.raw.write(folder / f"ring{ending}", shapes, name, ["name"], **layout)
+    (folder / "ring.cpg").unlink()
+    degrees = " ".join(
+        f"{9 + x / 1e5},{48 + y / 1e5},{z}" for x, y, z in ring - ring[0] + [0, 0, 5]
+    )
+    (folder / "ring.kml").write_text(
+        '<kml xmlns="http://www.opengis.net/kml/2.2"><Document><Placemark><name>a</name><Polygon>'
+        f"<outerBoundaryIs><LinearRing><coordinates>{degrees}</coordinates></LinearRing>"
+        "</outerBoundaryIs></Polygon></Placemark></Document></kml>"
+    )
+    body = "".join(f"0\nVERTEX\n8\nA\n10\n{x}\n20\n{y}\n30\n{z}\n70\n32\n" for x, y, z in ring)
+    line = f"0\nPOLYLINE\n8\nA\n66\n1\n70\n9\n{body}0\nSEQEND"
+    (folder / "ring.dxf").write_text(f"0\nSECTION\n2\nENTITIES\n{line}\n0\nENDSEC\n0\nEOF\n")
+    rows = {"criterion": ["d", "w"], "quantity": ["density_per_m2", "w_mm"], "threshold": [3, 20.5]}
+    pd.DataFrame(rows).to_excel(folder / "table.xlsx", index=False)
+
+
+def damaged(name, data, kind, rng):
+    """A damaged copy of a file, half of them with sums and parts that agree again."""
+    sealed = rng.random() < 0.5
+    if name.endswith(".xlsx") and sealed:
+        return zipped(data, kind, rng)
+    if name.endswith(".e57") and sealed:
+        plain = b"".join(data[at : at + 1020] for at in range(0, len(data), 1024))
+        plain = mutant(plain, kind, rng)
+        pages = [plain[at : at + 1020].ljust(1020, b"\0") for at in range(0, len(plain), 1020)]
+        return b"".join(page + struct.pack(">I", castagnoli(page)) for page in pages)
+    return mutant(data, kind, rng)
+
+
+def zipped(data, kind, rng):
+    """A workbook of which one part is damaged and packed again."""
+    made = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(data)) as old, zipfile.ZipFile(made, "w") as new:
+        broken = rng.choice(old.namelist())
+        for name in old.namelist():
+            part = old.read(name)
+            new.writestr(name, mutant(part, kind, rng) if name == broken else part)
+    return made.getvalue()
+
+
+def castagnoli(page):
+    """The sum of a page of E57, CRC-32C."""
+    rest = 2**32 - 1
+    for byte in page:
+        rest ^= byte
+        for _ in range(8):
+            rest = rest >> 1 ^ 0x82F63B78 * (rest & 1)
+    return rest ^ 2**32 - 1
+
+
 def mutant(data, kind, rng):
-    """A damaged copy of a file's bytes."""
+    """A damaged copy of bytes."""
     data, at = bytearray(data), rng.randrange(max(1, len(data)))
     if rng.random() < 0.5:  # heads say what follows
         at = rng.randrange(max(1, min(400, len(data))))
@@ -133,15 +219,18 @@ def mutant(data, kind, rng):
 
 def read_lines():
     """A worker: read each file that is named on standard input, and say what became of it."""
+    import pyproj
+
     from mmqa_lab import io
 
+    zone = pyproj.CRS("EPSG:25832")
     used = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
     resource.setrlimit(resource.RLIMIT_AS, (used + LIMIT_BYTES,) * 2)
     warnings.simplefilter("ignore")
     readers = {
         "cloud": lambda path: io.read_cloud(path),
-        "polygon": io.read_polygon,
-        "trajectory": io.read_trajectory,
+        "polygon": lambda path: io.read_outlines(path, crs=zone if path.suffix == ".kml" else None),
+        "trajectory": lambda path: io.read_trajectory(path, crs=zone),
         "segments": io.read_segments,
         "table": lambda path: io.read_table(path, "criteria"),
         "camera": io.read_camera,
@@ -207,12 +296,18 @@ def fuzz(count, seed, keep=None):
             file = [*files][number % len(files)]
             kind = KINDS[number // len(files) % len(KINDS)]
             changed = folder / f"{number}_{file.name}"
-            changed.write_bytes(mutant(file.read_bytes(), kind, rng))
-            outcome = worker.outcome(files[file], changed)
-            if keep and not outcome.startswith(("read", "refused")):
-                keep.mkdir(exist_ok=True)
-                changed.replace(keep / changed.name)
-            changed.unlink(missing_ok=True)
+            beside = SHAPE if file.suffix in SHAPE else ()  # four files are one
+            for ending in beside:
+                shutil.copy(file.with_suffix(ending), changed.with_suffix(ending))
+            changed.write_bytes(damaged(file.name, file.read_bytes(), kind, rng))
+            read = changed.with_suffix(".shp") if beside else changed
+            outcome = worker.outcome(files[file], read)
+            for part in (changed, *map(changed.with_suffix, beside)):
+                if keep and not outcome.startswith(("read", "refused")):
+                    keep.mkdir(exist_ok=True)
+                    shutil.copy(part, keep / part.name)
+            for part in folder.iterdir():
+                part.unlink()
             yield file.name, kind, number, outcome
     worker.close()
 

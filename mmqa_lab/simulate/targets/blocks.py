@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from mmqa_lab._checks import check_count
+from mmqa_lab._streams import stream
 from mmqa_lab.simulate.targets.resolution import ELECTRONS_PER_DN, READ_NOISE_DN
 
 __all__ = [
@@ -72,7 +73,7 @@ class Atmosphere:
         lit = self.irradiance / (np.pi * (1 - self.spherical_albedo * surroundings))
         path = np.full(rho.shape, self.path_radiance)
         if seed is not None:
-            rng = np.random.default_rng(seed)
+            rng = stream(seed, "radiance")
             path = path * (1 + self.path_std * rng.standard_normal(rho.shape))
         return path + lit * (self.direct * rho + self.diffuse * surroundings)
 
@@ -162,7 +163,7 @@ def fly_block(flight: Flight = Flight(), *, seed: int) -> ImageBlock:
     -------
     ImageBlock
     """
-    rng = np.random.default_rng(seed)
+    rng = stream(seed, "fly_block")
     stations = _stations(flight, rng)
     seen = stations.merge(_ties(stations, rng), how="cross")
     dx, dy = seen["x_m"] - seen["centre_x_m"], seen["y_m"] - seen["centre_y_m"]

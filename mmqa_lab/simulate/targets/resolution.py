@@ -16,6 +16,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.optimize import brentq
 
 from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
+from mmqa_lab._streams import stream
 from mmqa_lab.mtf.transfer import LENS_TRANSFERS, lens_mtf
 
 __all__ = [
@@ -204,7 +205,7 @@ def texture(shape: tuple[int, int], *, seed: int) -> np.ndarray:
 
     Its amplitude spectrum falls off with the frequency, about as in photographs of natural scenes.
     """
-    rng = np.random.default_rng(seed)
+    rng = stream(seed, "texture")
     fy, fx = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])
     f = np.hypot(fx, fy)
     f[0, 0] = np.inf
@@ -255,7 +256,7 @@ def expose(
     array of float
         Whole numbers.
     """
-    rng = np.random.default_rng(seed)
+    rng = stream(seed, "expose")
     signal = gain * np.asarray(light, dtype=np.float64)
     shot = np.maximum(signal, 0) / ELECTRONS_PER_DN
     noisy = signal + offset + np.sqrt(shot + READ_NOISE_DN**2) * rng.standard_normal(signal.shape)

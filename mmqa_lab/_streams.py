@@ -1,4 +1,4 @@
-"""Random numbers of simulators: each kind of thing has a key of its own for one seed."""
+"""Random numbers: each function and kind of thing has a key of its own for one seed."""
 
 import zlib
 from collections.abc import Sequence
