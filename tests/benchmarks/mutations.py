@@ -234,7 +234,7 @@ FAULTS = (
     ("maps", "first * cell - margin, (", "first * cell, (", "test_maps.py"),
     ("maps", "-2, axis=1)[:, -2]", "-9, axis=1)[:, -9]", "test_maps.py"),
     ("maps", "(same, f", "(False, f", "test_maps.py"),
-    ("maps", 'if np.prod(size / cell + 1) > MOST_MAP_CELLS', "if False", "test_maps.py"),
+    ("maps", 'if np.prod(size / cell + 1) > most', "if False", "test_maps.py"),
     ("maps", "if missing:\n", "if False:\n", "test_maps.py"),
     ("cloud", "places += ON_BORDER", "places += 0", "test_maps.py test_cloud.py"),
     ("_checks", "return path.samefile(other)", "return str(path) == str(other)",
