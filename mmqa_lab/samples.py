@@ -5,17 +5,13 @@
 
 import hashlib
 import os
-import tarfile
-import urllib.request
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
-from tqdm.auto import tqdm
 
 from mmqa_lab._checks import check_choice
 from mmqa_lab._data import read_toml, shipped_folder
-from mmqa_lab.io import write_atomically
 
 __all__ = ["PUBLIC", "SAMPLES", "fetch", "has_real", "path", "real_path", "road_patch_heads"]
 __dir__ = __all__.copy
@@ -34,16 +30,15 @@ SAMPLES = {row["name"]: SimpleNamespace(**row) for row in _ROWS["samples"]}
 
 
 PUBLIC = {row["name"]: SimpleNamespace(**row) for row in _ROWS["public"]}
-"""Clouds that others host, by name: the file and its sha256, url of the archive that it is in, with
-the archive's sha256 and size, licence, doi, origin and contents."""
+"""Clouds where their authors published them, by name: url at a commit, hash, size, licence, doi,
+origin and contents."""
 
 
 def fetch(name: str) -> Path:
     """Return the path of a public cloud, which is downloaded if it was not before.
 
-    Downloads are kept in the folder that ``MMQA_CACHE`` names, by default ``~/.cache/mmqa_lab``.
-    One that was interrupted goes on from where it stopped. A file with the right hash stays as it
-    is, and needs no network.
+    Downloads are kept in the folder that ``MMQA_CACHE`` names, by default ``~/.cache/mmqa_lab``. A
+    file with the right hash stays as it is, and needs no network.
 
     Parameters
     ----------
@@ -59,68 +54,45 @@ def fetch(name: str) -> Path:
     ValueError
         If no public cloud has that name, or if the host has another file under its address.
     OSError
-        If the host cannot be reached, or the download ends early.
+        If the host cannot be reached.
 
     Examples
     --------
     >>> PUBLIC["hdl32e_target"].doi, PUBLIC["hdl32e_target"].licence
     ('10.21105/joss.06948', 'MIT')
     """
+    import pooch
+
     one = PUBLIC[check_choice(name, "public cloud", PUBLIC)]
     target = _cached(one)
-    if _sha256(target) == one.sha256:
+    if _hash(target, one.hash) == one.hash:
         return target
-    archive, part = (
-        target.with_name(one.archive_sha256[:12] + end) for end in (".tar.gz", ".part")
-    )
-    if _sha256(archive) != one.archive_sha256:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        _download(one, part)
-        if (other := _sha256(part)) != one.archive_sha256:
-            part.unlink()
-            told = f"Invalid public cloud {name} with SHA-256 {other}."
-            raise ValueError(f"{told} Must be {one.archive_sha256}.")
-        part.replace(archive)
-    with tarfile.open(archive) as opened:
-        found = next(part for part in opened if part.name.partition("/")[2] == one.file)
-        content = opened.extractfile(found).read()  # type: ignore[union-attr]  # it is a file
-    write_atomically(target, lambda path: path.write_bytes(content))
+    target.unlink(missing_ok=True)
+    pooch.get_logger().setLevel("WARNING")
+    try:
+        pooch.retrieve(one.url, None, fname=target.name, path=target.parent, progressbar=True)
+    except OSError as error:
+        raise OSError(f"Invalid address {one.url}: no answer. Must be reachable once.") from error
+    if (other := _hash(target, one.hash)) != one.hash:
+        target.unlink()
+        raise ValueError(f"Invalid public cloud {name} with {other}. Must be {one.hash}.")
     return target
 
 
 def _cached(one):
     """Where a public cloud is kept."""
     cache = Path(os.environ.get(CACHE_VARIABLE, Path.home() / ".cache" / "mmqa_lab"))
-    return cache / f"{one.name}{Path(one.file).suffix}"
+    return cache / f"{one.name}{Path(one.url).suffix}"
 
 
-def _download(one, part):
-    """Download the rest of an archive to the end of a part of it."""
-    have = part.stat().st_size if part.is_file() else 0
-    if have >= one.archive_size:  # it was interrupted after its last byte
-        return
-    asked = urllib.request.Request(one.url, headers={"Range": f"bytes={have}-"} if have else {})
-    try:
-        with urllib.request.urlopen(asked, timeout=60) as answer:
-            have *= answer.status == 206  # of a part; other hosts begin again
-            bar = tqdm(
-                total=one.archive_size, initial=have, unit="B", unit_scale=True, desc=one.name
-            )
-            with part.open("ab" if have else "wb") as file, bar:
-                while piece := answer.read(2**16):
-                    bar.update(file.write(piece))
-    except OSError as error:
-        raise OSError(
-            f"Invalid address {one.url}: no answer. Must be reachable once; the next call goes on."
-        ) from error
-    if part.stat().st_size < one.archive_size:
-        got = f"{part.stat().st_size} of {one.archive_size} bytes"
-        raise OSError(f"Invalid download of {one.name}: {got}. Must be whole; call again to go on.")
-
-
-def _sha256(file):
-    """The SHA-256 of a file; an empty text if there is none."""
-    return hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else ""
+def _hash(file, wanted):
+    """The hash of a file, of the kind that is wanted; an empty text if there is none."""
+    if not file.is_file():
+        return ""
+    content = file.read_bytes()
+    if wanted.startswith("sha256:"):
+        return f"sha256:{hashlib.sha256(content).hexdigest()}"
+    return f"blob:{hashlib.sha1(b'blob %d%c' % (len(content), 0) + content).hexdigest()}"
 
 
 def path(name: str) -> Path:
@@ -191,7 +163,8 @@ def has_real(relative: str) -> bool:
     False
     """
     if relative in PUBLIC:
-        return _sha256(_cached(PUBLIC[relative])) == PUBLIC[relative].sha256
+        one = PUBLIC[relative]
+        return _hash(_cached(one), one.hash) == one.hash
     root = os.environ.get(REAL_VARIABLE, "")
     return root != "" and (Path(root) / relative).exists()
 

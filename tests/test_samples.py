@@ -2,9 +2,7 @@
 
 import hashlib
 import http.server
-import io as streams
 import re
-import tarfile
 import threading
 from types import SimpleNamespace
 
@@ -52,111 +50,100 @@ def test_an_unknown_sample_is_refused_with_the_names_that_there_are():
 
 @pytest.fixture
 def host(monkeypatch, tmp_path):
-    """A public cloud on a server of this machine: its entry, and the ranges that were asked for."""
-    stream = streams.BytesIO()
-    cloud = np.random.default_rng(0).uniform(0, 9, (20_000, 3)).astype("<f4").tobytes()
-    with tarfile.open(fileobj=stream, mode="w:gz") as archive:
-        entry = tarfile.TarInfo("a/wall.bin")
-        entry.size = len(cloud)
-        archive.addfile(entry, streams.BytesIO(cloud))
-    whole, asked, cut = stream.getvalue(), [], []
+    """A server of this machine for files of a folder, and what was asked of it."""
+    asked = []
 
-    class Handler(http.server.BaseHTTPRequestHandler):
-        """Answers with the rest of the archive, or with a half of it."""
+    class Handler(http.server.SimpleHTTPRequestHandler):
+        """Serves the folder."""
 
-        def do_GET(self):
-            asked.append(self.headers.get("Range"))
-            start = int((asked[-1] or "bytes=0-")[6:-1])
-            self.send_response(416 if start >= len(whole) else 206 if start else 200)
-            self.send_header("Content-Length", str(len(whole) - start))
-            self.end_headers()
-            self.wfile.write(whole[start:][: len(whole) // 2 if cut else None])
+        def __init__(self, *given):
+            super().__init__(*given, directory=tmp_path / "served")
 
         def log_message(self, *_):
-            """Say nothing."""
+            """Keep the path alone."""
+            asked.append(self.path)
 
+    (tmp_path / "served").mkdir()
     server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
     threading.Thread(target=server.serve_forever, daemon=True).start()
-    one = SimpleNamespace(
-        name="wall",
-        url=f"http://127.0.0.1:{server.server_port}/a.tar.gz",
-        file="wall.bin",
-        sha256=hashlib.sha256(cloud).hexdigest(),
-        archive_sha256=hashlib.sha256(whole).hexdigest(),
-        archive_size=len(whole),
-    )
-    monkeypatch.setitem(samples.PUBLIC, "wall", one)
     monkeypatch.setenv(samples.CACHE_VARIABLE, str(tmp_path / "cache"))
-    yield SimpleNamespace(one=one, asked=asked, cut=cut, cloud=cloud, whole=whole)
+    address = f"http://127.0.0.1:{server.server_port}"
+    yield SimpleNamespace(address=address, asked=asked, folder=tmp_path / "served")
     server.shutdown()
 
 
-def test_a_public_cloud_is_downloaded_once_and_again_if_it_is_damaged(host, tmp_path):
-    written = []
-    for _ in range(3):
-        assert samples.fetch("wall").read_bytes() == host.cloud
-        written.append(samples.fetch("wall").stat().st_mtime_ns)
-    assert len(set(written)) == 1  # a file with the right hash is not written again
-    assert host.asked == [None]
-    samples.fetch("wall").write_bytes(b"damaged")
-    assert samples.fetch("wall").read_bytes() == host.cloud
-    assert host.asked == [None]  # the archive is still there
-    (archive,) = (tmp_path / "cache").glob("*.tar.gz")
-    archive.write_bytes(host.whole[:-1])
-    samples.fetch("wall").write_bytes(b"damaged")
-    assert samples.fetch("wall").read_bytes() == host.cloud
-    assert host.asked == [None, None]
+@pytest.fixture(params=["sha256:", "blob:"])
+def wall(request, host, monkeypatch):
+    """A public cloud on that server: its entry and its bytes."""
+    content = b"0 0 0\n1 0 0\n0 0 1\n"
+    (host.folder / "wall.xyz").write_bytes(content)
+    known = {
+        "sha256:": hashlib.sha256(content).hexdigest(),
+        "blob:": "6c244224c3735af884f35068d486cd9e584ffe14",
+    }
+    one = SimpleNamespace(
+        name="wall", url=f"{host.address}/wall.xyz", hash=request.param + known[request.param]
+    )
+    monkeypatch.setitem(samples.PUBLIC, "wall", one)
+    return SimpleNamespace(one=one, content=content)
 
 
-def test_a_fetched_cloud_is_real_data_without_a_network(host):
+def test_a_public_cloud_is_downloaded_once_and_again_if_it_is_damaged(host, wall):
+    for _ in range(2):
+        assert samples.fetch("wall").read_bytes() == wall.content
+    assert len(host.asked) == 1
+    samples.fetch("wall").write_bytes(b"damaged")
+    assert samples.fetch("wall").read_bytes() == wall.content
+    assert len(host.asked) == 2
+
+
+def test_a_fetched_cloud_is_real_data_without_a_network(host, wall):
     assert not samples.has_real("wall")
     with pytest.raises(FileNotFoundError, match=r"real cloud wall\. Must be fetched before"):
         samples.real_path("wall")
     assert host.asked == []  # nobody downloads by looking
     file = samples.fetch("wall")
-    host.one.url = "http://127.0.0.1:9/none.tar.gz"
+    wall.one.url = "http://127.0.0.1:9/wall.xyz"
     assert samples.has_real("wall")
     assert samples.real_path("wall") == file == samples.fetch("wall")
     file.write_bytes(b"damaged")
     assert not samples.has_real("wall")
 
 
-@pytest.mark.parametrize("share", [0.5, 1])
-def test_an_interrupted_download_goes_on_from_where_it_stopped(host, share, tmp_path):
-    host.cut.append(True)
-    with pytest.raises(OSError, match=r"Invalid (download of wall|address)"):
-        samples.fetch("wall")
-    host.cut.clear()
-    (part,) = (tmp_path / "cache").glob("*.part")
-    part.write_bytes(host.whole[: int(share * len(host.whole))])
-    assert samples.fetch("wall").read_bytes() == host.cloud
-    later = [f"bytes={len(host.whole) // 2}-"] if share < 1 else []
-    assert host.asked == [None, *later]
-
-
-def test_another_file_under_the_address_is_refused_and_not_kept(host, tmp_path):
-    host.one.archive_sha256 = "0" * 64
-    with pytest.raises(ValueError, match="Invalid public cloud wall with SHA-256"):
+def test_another_file_under_the_address_is_refused_and_not_kept(host, wall, tmp_path):
+    (host.folder / "wall.xyz").write_bytes(b"another")
+    with pytest.raises(ValueError, match=r"Invalid public cloud wall with (sha256|blob):"):
         samples.fetch("wall")
     assert not [path for path in (tmp_path / "cache").iterdir() if path.is_file()]
 
 
-def test_no_network_is_a_sentence(host):
-    host.one.url = "http://127.0.0.1:9/none.tar.gz"
+def test_no_network_is_a_sentence(wall):
+    wall.one.url = "http://127.0.0.1:9/wall.xyz"
     with pytest.raises(OSError, match=r"Invalid address .*: no answer\. Must be reachable once"):
         samples.fetch("wall")
     with pytest.raises(ValueError, match="public cloud 'walls'"):
         samples.fetch("walls")
 
 
-def test_public_clouds_state_licence_hash_and_size():
+@pytest.mark.parametrize(("name", "file", "count"), [
+    ("street_tree_a", "stem_121913_487434.las", 44_363),
+    ("rotating_sweep", "velodyne_source.pcd", 106_825),
+])  # fmt: skip
+def test_the_bytes_that_were_published_are_taken(host, real, monkeypatch, name, file, count):
+    one = samples.PUBLIC[name]
+    (host.folder / file).write_bytes(real(f"public/{file}").read_bytes())
+    monkeypatch.setattr(one, "url", f"{host.address}/{file}")
+    assert samples.fetch(name).stat().st_size == one.size
+    assert len(io.read_cloud(samples.real_path(name), columns=())) == count
+
+
+def test_public_clouds_state_licence_hash_and_address():
     readme = (samples.FOLDER / "README.md").read_text(encoding="utf-8")
     for one in samples.PUBLIC.values():
         assert f"`{one.name}`" in readme
         assert one.doi in readme
         assert min(map(len, (one.licence, one.origin, one.contents))) > 2
-        assert re.fullmatch("[0-9a-f]{128}", one.sha256 + one.archive_sha256)
+        assert re.fullmatch("sha256:[0-9a-f]{64}|blob:[0-9a-f]{40}", one.hash)
         assert re.fullmatch(r"(10\.\d+/.+)?", one.doi)
-        assert one.url.startswith("https://")
-        assert one.archive_size > 1000
-    assert 3 <= len(samples.PUBLIC) <= 5
+        assert re.match("https://raw.githubusercontent.com/[^/]+/[^/]+/[0-9a-f]{40}/", one.url)
+    assert len(samples.PUBLIC) >= 10
