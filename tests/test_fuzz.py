@@ -6,6 +6,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import openpyxl
 import pytest
 
 from mmqa_lab import io, samples
@@ -17,12 +18,9 @@ fuzz = importlib.util.module_from_spec(SPEC)
 SPEC.loader.exec_module(fuzz)
 
 
-def test_damaged_files_are_read_or_refused_by_a_sentence(tmp_path):
-    worker = fuzz.Worker()
-    sound = fuzz.seeds(tmp_path)
-    assert {worker.outcome(reader, file) for file, reader in sound.items()} == {"read"}
-    worker.close()
+def test_damaged_files_are_read_or_refused_by_a_sentence():
     rows = list(fuzz.fuzz(200, seed=7))
+    assert {outcome for _, kind, _, outcome in rows if kind == "sound"} == {"read"}
     bad = [row for row in rows if not row[-1].startswith(("read", "refused"))]
     assert not bad
     assert {row[-1].split(":")[0] for row in rows} == {"read", "refused"}
@@ -72,6 +70,31 @@ def large_chunk(path):
     io.read_cloud(path)
 
 
+def large_layer(path):
+    io.write_cloud(path, np.random.default_rng(1).random((900, 3)))
+    data = bytearray(path.read_bytes())
+    (first,) = struct.unpack_from("<I", data, 96)  # the table's place, a point, its count, layers
+    struct.pack_into("<I", data, first + 8 + 30 + 4 + 8, 0xFF000000)
+    path.write_bytes(data)
+    io.read_cloud(path)
+
+
+def far_cell(path):
+    book = openpyxl.Workbook()
+    book.active["A1"], book.active["XFD1048576"] = "criterion", 1
+    book.save(path)
+    io.read_table(path, "table")
+
+
+def lzw_with_zeros(path):
+    grey = cv2.GaussianBlur(np.random.default_rng(1).random((200, 300)) * 255, (0, 0), 2)
+    cv2.imwrite(str(path), grey.astype(np.uint8), [cv2.IMWRITE_TIFF_COMPRESSION, 5])
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2 : len(data) // 2 + 200] = bytes(200)
+    path.write_bytes(data)
+    io.read_image(path)
+
+
 def many_records(path):
     io.write_cloud(path, np.random.default_rng(1).random((9, 3)))
     data = bytearray(path.read_bytes())
@@ -88,6 +111,9 @@ HOSTILE = {
     "hole.jpg": photograph_with_a_hole,
     "chunk.laz": large_chunk,
     "records.las": many_records,
+    "layer.laz": large_layer,
+    "far.xlsx": far_cell,
+    "zeros.tif": lzw_with_zeros,
 }
 
 

@@ -32,7 +32,8 @@ SCAN_ANGLE_STEP = 0.006
 
 LONGEST_NAME = 32
 
-FIRST_LAYERED = 6
+# The first format in layers, and how many formats 6 to 10 have without extra bytes.
+FIRST_LAYERED, LAYERS = 6, (9, 10, 11, 10, 12)
 
 
 def write_cloud(path: str | os.PathLike, cloud: Cloud | ArrayLike, *, scale: float = 0.001) -> None:
@@ -210,7 +211,8 @@ def _laz_points(path, header):
 
     The table of chunks stands where the points begin to say, or the last bytes of a file that was
     written as a stream. A damaged one would ask for any amount of memory. Chunks of formats 6 to 10
-    begin with a point and their number of points (LASzip's ``layered`` chunks).
+    begin with a point, their number of points and the bytes of each layer (LASzip's ``layered``
+    chunks).
     """
     import lazrs
 
@@ -232,10 +234,14 @@ def _laz_points(path, header):
             raise ValueError("chunks that do not reach from the first point to their table")
         if header.point_format.id < FIRST_LAYERED and chunks:
             return _pointwise(file, record, header, chunks, ends)
-        held = 0
-        for end in ends[:-1]:
+        held, kind = 0, header.point_format
+        layers = LAYERS[kind.id - FIRST_LAYERED] + kind.num_extra_bytes
+        for end, (_, length) in zip(ends, chunks, strict=False):
             file.seek(end + size)
-            held += struct.unpack("<I", file.read(4))[0]
+            count, *sizes = struct.unpack(f"<{1 + layers}I", file.read(4 * (1 + layers)))
+            if sum(sizes) > length:
+                raise ValueError("layers of more bytes than their chunk")
+            held += count
         return held
 
 

@@ -51,6 +51,9 @@ ERROR_WORDS = re.compile(rb"#(N/A|REF!|VALUE!|DIV/0!|NAME\?|NUM!|NULL!)|-?1\.#[A
 SEPARATOR_LINE = re.compile(rb'"?sep=."?\s*')
 UNIT_WORD = re.compile(r"|[(\[].*[)\]]|m|s|sec|deg|rad|gon|degrees|metres|meters|seconds")
 
+# Cells of a workbook's sheet at most, empty ones before the last counted.
+MOST_ENTRIES = 2e7
+
 # Letters of a column's name at most.
 LONGEST_HEADER = 200
 
@@ -117,12 +120,20 @@ def sheet_text(path, name):
     path = check_file(path, name)
     if path.suffix.lower() not in (".xlsx", ".xlsm"):
         return plain_text(path)
-    needs("files", "openpyxl")
+    openpyxl = needs("files", "openpyxl")
     with reading(path, name, "an Excel workbook"):
-        sheets = pd.read_excel(path, sheet_name=None, header=None, dtype=object, na_filter=False)
-    if len(sheets) > 1:
-        warnings.warn(f"Read the first of {len(sheets)} sheets of {path}.", stacklevel=4)
-    return next(iter(sheets.values())).to_csv(index=False, header=False).encode()
+        book = openpyxl.load_workbook(path, read_only=True)
+        first, names, wide = book.worksheets[0], book.sheetnames, 1
+        first.reset_dimensions()  # what it states of them is not believed
+        for high, row in enumerate(first.iter_rows(values_only=True), 1):
+            wide = max(wide, len(row))
+            if wide * high > MOST_ENTRIES:
+                raise ValueError("a sheet of too many cells")
+        book.close()
+        rows = pd.read_excel(path, sheet_name=0, header=None, dtype=object, na_filter=False)
+    if len(names) > 1:
+        warnings.warn(f"Read the first of {len(names)} sheets of {path}.", stacklevel=4)
+    return rows.to_csv(index=False, header=False).encode()
 
 
 def _header(rows):

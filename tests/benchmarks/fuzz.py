@@ -292,6 +292,9 @@ def fuzz(count, seed, keep=None):
         sound.mkdir()
         folder.mkdir()
         files = seeds(sound)
+        for file in files:
+            read = file.with_suffix(".shp") if file.suffix in SHAPE else file
+            yield file.name, "sound", -1, worker.outcome(files[file], read)
         for number in range(count):
             file = [*files][number % len(files)]
             kind = KINDS[number // len(files) % len(KINDS)]
@@ -324,6 +327,8 @@ def main():
         return read_lines()
     counts, bad = collections.defaultdict(collections.Counter), []
     for name, kind, number, outcome in fuzz(given.count, given.seed, given.keep):
+        if kind == "sound":
+            continue
         counts[name][outcome.split(":")[0].split(" -")[0]] += 1
         if not outcome.startswith(("read", "refused")):
             bad.append(f"{number} {name} {kind}: {outcome}")
