@@ -316,7 +316,7 @@ FAULTS = (
     ("samples", "target.unlink()\n", "pass\n", "test_samples.py"),
     ("io", "> Path(path).stat().st_size:", "> 2**40:", "test_io_kinds.py"),
     ("io", "refuse(held != header", "refuse(held < 0 and header", "test_io_kinds.py"),
-    ("io", "held += struct.unpack", "held += header.point_count + 0 * struct.unpack",
+    ("io", "held += count", "held += header.point_count",
      "test_io_kinds.py"),
     ("io", "if written == stored else 0", "", "test_io_kinds.py"),
     ("io", "if ends[-1] != table:", "if False:", "test_io_kinds.py"),
