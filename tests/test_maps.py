@@ -210,7 +210,7 @@ def test_clouds_in_millimetres_are_refused_before_any_work(tmp_path):
     with pytest.raises(ValueError, match=r"Must lie in 100 million cells of 0\.25 m"):
         maps.map_campaign([tmp_path / "mm.laz"], tmp_path / "run", cell=0.25)
     assert not [path for path in (tmp_path / "run").rglob("*") if path.is_file()]
-    with pytest.raises(ValueError, match=r"over 2000 km x 0\.\d+ km\. Must lie in 100 million"):
+    with pytest.raises(ValueError, match=r"over 2000 km x 0\.\d+ km\. Must lie in 2 million"):
         maps.map_cloud(np.vstack([street(n=500), [2448000.0, 5411000.0, 0.0]]), cell=0.05)
 
 
