@@ -1,14 +1,17 @@
 """Clouds in the forms of other programs: E57, PCD, PTX; and what is not read is named."""
 
+import http.server
 import json
+import threading
 
 import numpy as np
 import pye57
 import pypcd4
 import pytest
 
-from mmqa_lab import io
+from mmqa_lab import io, samples
 from mmqa_lab.__main__ import main
+from mmqa_lab.planes import fit_plane
 
 TURN = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # by 90 degrees about the vertical
 PLACE = np.array([10.0, 20, 5])
@@ -165,3 +168,55 @@ def test_info_says_what_a_file_is(tmp_path, name, content, kind, count):
     (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
     found = io.describe_file(tmp_path / name)
     assert (found["kind"], found["points"]) == (kind, count)
+
+
+@pytest.fixture
+def ranges():
+    """The address of the COPC sample on a server of this machine, and the bytes that it sent."""
+    content, sent = samples.path("chart_b_5m").read_bytes(), []
+
+    class Handler(http.server.BaseHTTPRequestHandler):
+        """Answers with ranges of the file."""
+
+        def do_GET(self):
+            first, last = map(int, self.headers["Range"].removeprefix("bytes=").split("-"))
+            part = content[first : last + 1] if self.path == "/b.copc.laz" else b""
+            sent.append(len(part))
+            self.send_response(206 if part else 404)
+            self.send_header("Content-Length", str(len(part)))
+            self.end_headers()
+            self.wfile.write(part)
+
+        def log_message(self, *_):
+            """Say nothing."""
+
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield f"http://127.0.0.1:{server.server_port}/b.copc.laz", sent
+    server.shutdown()
+
+
+def test_what_a_polygon_needs_is_read_of_an_address(ranges, tmp_path, capsys, monkeypatch):
+    """The same figures as of the file; without an outline only a cloud of few points is fetched."""
+    address, sent = ranges
+    file = str(samples.path("chart_b_5m"))
+    whole = io.read_cloud(file)
+    plane = fit_plane(whole.points)
+    middle, side, up = plane.centre, *(np.cross(plane.normal, way) for way in np.eye(3)[1:])
+    ring = [middle + 0.3 * (a * side + b * up) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    io.write_outlines(tmp_path / "o.geojson", {"inner": ring}, crs=whole.crs)
+    found = []
+    for source in (file, address):
+        assert main(["evaluate", source, "--polygon", str(tmp_path / "o.geojson"), "--json"]) == 0
+        found.append(json.loads(capsys.readouterr().out)[0])
+    assert found[0]["n"] == found[1]["n"] > 100
+    assert found[0]["sigma_mad_mm"] == pytest.approx(found[1]["sigma_mad_mm"])
+    assert sent
+    monkeypatch.setattr("mmqa_lab.io.las.MARGIN_M", 0.1)
+    part = io.read_cloud(address, within=tmp_path / "o.geojson")
+    assert found[1]["n"] <= len(part) < len(whole) == len(io.read_cloud(address))
+    monkeypatch.setattr("mmqa_lab.io.las.MOST_FETCHED", 10)
+    with pytest.raises(ValueError, match=r"points at an address\. Must be at most 10, or with"):
+        io.read_cloud(address)
+    assert main(["evaluate", address.replace("b.copc", "c.copc")]) == 2
+    assert "Must be a COPC file whose host answers" in capsys.readouterr().err

@@ -70,7 +70,8 @@ def evaluate(
     Parameters
     ----------
     clouds
-        Cloud files: LAS, LAZ, COPC, E57, PCD, PLY, PTX or text.
+        Cloud files: LAS, LAZ, COPC, E57, PCD, PLY, PTX or text; or http addresses of COPC files, of
+        which only what the polygon needs is fetched.
     polygon
         Outlines of one or more surfaces: GeoPackage, shapefile, KML, DXF, GeoJSON, WKT or CSV, or
         "x,y,z; x,y,z; x,y,z". Those without heights are laid onto the cloud.
@@ -112,7 +113,7 @@ def evaluate(
     done = []
 
     def measured(file):
-        cloud = io.read_cloud(file, columns=(), scan=scan)
+        cloud = io.read_cloud(file, columns=(), scan=scan, within=polygon)
         rings = [("", None)]
         if polygon is not None:
             rings = io.read_outlines(polygon, crs=cloud.crs, points=cloud)

@@ -14,7 +14,7 @@ import numpy as np
 from mmqa_lab._checks import check_choice, check_columns, check_file, refuse
 from mmqa_lab.cloud import Cloud, unit_remarks
 from mmqa_lab.io.e57 import e57_pieces
-from mmqa_lab.io.las import LAS_ENDINGS, las_pieces
+from mmqa_lab.io.las import LAS_ENDINGS, address_of, copc_pieces, las_pieces
 from mmqa_lab.io.marks import FLAGS, Piece, marked
 from mmqa_lab.io.pcd import read_pcd
 from mmqa_lab.io.ply import read_ply
@@ -36,6 +36,7 @@ def read_cloud(
     *,
     columns: Sequence[str] | None = None,
     scan: int | str | None = None,
+    within: str | os.PathLike | None = None,
 ) -> Cloud:
     """Read a cloud file whole.
 
@@ -49,15 +50,18 @@ def read_cloud(
     Parameters
     ----------
     path : path
-        LAS 1.2-1.4, LAZ or COPC (``.las``, ``.laz``), E57, PCD, PLY, PTX or text (``.txt``,
-        ``.csv``, ``.xyz``, ``.pts``, ``.asc``). The scans of E57 and PTX stand at their poses,
-        with their numbers in the column ``scan``. Columns of text stand between white space,
-        commas or semicolons; a header names x, y, z or easting, northing, height, in any order
-        among others; without a header x, y, z come first. ``#``, ``//`` and ``%`` begin a comment.
+        LAS 1.2-1.4, LAZ or COPC (``.las``, ``.laz``), the http address of a COPC file, E57, PCD,
+        PLY, PTX or text (``.txt``, ``.csv``, ``.xyz``, ``.pts``, ``.asc``). The scans of E57 and
+        PTX stand at their poses, with their numbers in the column ``scan``. Columns of text stand
+        between white space, commas or semicolons; a header names x, y, z or easting, northing,
+        height, in any order among others; without a header x, y, z come first. ``#``, ``//`` and
+        ``%`` begin a comment.
     columns : sequence of str, optional
         The per-point columns to keep; all when not given.
     scan : int or str, optional
         The scan of an E57 or PTX file to read, by its number from 0, or by its name.
+    within : path or str, optional
+        Outlines as of :func:`read_outlines`: only what lies around them is fetched from an address.
 
     Returns
     -------
@@ -88,7 +92,9 @@ def read_cloud(
     >>> len(cloud), "gps_time" in cloud
     (28185, True)
     """
-    cloud = Cloud.concatenate(iterate_cloud(path, columns=columns, scan=scan), name=Path(path).stem)
+    cloud = Cloud.concatenate(
+        iterate_cloud(path, columns=columns, scan=scan, within=within), name=Path(path).stem
+    )
     if not len(cloud):
         raise ValueError(f"Invalid cloud {path}: no points. Must contain one or more.")
     return cloud
@@ -99,6 +105,7 @@ def iterate_cloud(
     *,
     columns: Sequence[str] | None = None,
     scan: int | str | None = None,
+    within: str | os.PathLike | None = None,
     chunk: int = 1_000_000,
 ) -> Iterator[Cloud]:
     """Yield a cloud file in pieces; LAS and LAZ in such of at most ``chunk`` points.
@@ -111,14 +118,17 @@ def iterate_cloud(
     >>> [len(part) for part in iterate_cloud(samples.path("road_patch"), chunk=20_000)]
     [20000, 8185]
     """
-    path = check_file(path, "cloud")
-    form, ending = form_of(path), path.suffix.lower()
+    address = address_of(path)
+    path = Path(address) if address else check_file(path, "cloud")
+    form, ending = "copc" if address else form_of(path), path.suffix.lower()
     if not form:
         refuse_unread(path, "cloud")
         check_choice(ending, f"cloud {path} with ending", CLOUD_ENDINGS)
         form = ending[1:]
     readers = {"e57": e57_pieces, "ptx": ptx_pieces, "pcd": read_pcd, "ply": read_ply}
-    if form in ("las", "laz"):
+    if address:
+        pieces = copc_pieces(address, columns, within)
+    elif form in ("las", "laz"):
         pieces = las_pieces(path, chunk, columns)
     elif form in ("e57", "ptx"):
         pieces = readers[form](path, scan)

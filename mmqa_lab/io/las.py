@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import struct
 import warnings
 from pathlib import Path
@@ -15,14 +16,19 @@ from mmqa_lab.cloud import Cloud, extent
 from mmqa_lab.io.files import reading, write_atomically
 from mmqa_lab.io.las_heads import plain_source
 from mmqa_lab.io.marks import FLAGS, Piece
+from mmqa_lab.io.outlines import plan_extent
 from mmqa_lab.io.systems import las_system
 
-__all__ = ["LAS_ENDINGS", "las_pieces", "write_cloud"]
+__all__ = ["LAS_ENDINGS", "address_of", "copc_pieces", "las_pieces", "write_cloud"]
 
 LAS_ENDINGS = (".las", ".laz")
 
 LEAST, LARGEST = -(2**31), 2**31 - 1
 LAS = "a complete LAS or LAZ file"
+COPC = "a COPC file whose host answers, also to ranges"
+
+# Points that are fetched from an address without an outline, and around an outline, m.
+MOST_FETCHED, MARGIN_M = 5_000_000, 1.0
 
 # Points of a chunk of LAZ that need no file of as many.
 LARGEST_CHUNK = 1_000_000
@@ -184,6 +190,38 @@ def las_pieces(path, chunk, columns):
             yield Piece(points, attributes, about, header.point_count, left, said)
     found = f"bytes for {read} points where the header says {header.point_count}"
     refuse(read < header.point_count, f"cloud {path}", found, LAS)
+
+
+def address_of(path: str | os.PathLike) -> str:
+    """The address that a path spells, also with one slash as pathlib leaves it; "" for a file."""
+    found = re.fullmatch(r"(https?):/+(.+)", str(path).replace("\\", "/"))
+    return f"{found[1]}://{found[2]}" if found else ""
+
+
+def copc_pieces(address, columns, within):
+    """The points of a COPC file at an address, around the outlines of ``within`` if it is given."""
+    import laspy
+
+    with reading(address, "cloud", COPC):
+        reader = laspy.CopcReader.open(address)
+        header = reader.header
+    crs, count = las_system(header, address), header.point_count
+    found, wanted = f"{count} points at an address", f"at most {MOST_FETCHED}, or with an outline"
+    refuse(within is None and count > MOST_FETCHED, f"cloud {address}", found, wanted)
+    box = None
+    if within is not None:
+        low, high = plan_extent(within, crs) + [[-MARGIN_M], [MARGIN_M]]
+        box = laspy.copc.Bounds(low, high)
+    with reading(address, "cloud", COPC):
+        part = reader.query(box)
+        names = [name for name in header.point_format.dimension_names if name not in "XYZ"]
+        names = [name for name in names if columns is None or name in (*columns, *FLAGS)]
+        attributes = {name: np.array(part[name]) for name in names}
+        points = np.stack([part.x, part.y, part.z], axis=1)
+    if "scan_angle" in attributes:
+        attributes["scan_angle"] = attributes["scan_angle"] * SCAN_ANGLE_STEP
+    about = {"resolution": float(max(header.scales)), "crs": crs}
+    yield Piece(points, attributes, about, len(points))
 
 
 def _check_header(path, header):

@@ -209,8 +209,20 @@ def _rings(shape):
             yield np.concatenate([outline, *(np.append(h, outline[:1], axis=0) for h in holes)])
 
 
-def _placed(ring, own, crs, points, what):
-    """A ring in the cloud's system, with heights."""
+def plan_extent(source: str | os.PathLike, crs: object = None) -> np.ndarray:
+    """The least and the largest easting and northing of outlines in the cloud's system."""
+    text = str(source)
+    if ";" in text and not is_file(source):
+        rings = [read_polygon(source)]
+    else:
+        _, stored, own = stored_outlines(source)
+        rings = [_in_system(ring, own, crs, f"polygon {source}") for ring in stored]
+    plan = np.concatenate([ring[:, :2] for ring in rings])
+    return np.array([plan.min(axis=0), plan.max(axis=0)])
+
+
+def _in_system(ring, own, crs, what):
+    """A ring in the cloud's system."""
     narrow = np.abs(ring[:, :2]).max() <= 180 and np.ptp(ring[:, :2], axis=0).max() < NARROWEST_M
     if own is None and narrow and crs is not None:
         own = named_system("OGC:CRS84", what)
@@ -222,9 +234,14 @@ def _placed(ring, own, crs, points, what):
         to = pyproj.Transformer.from_crs(own.to_2d(), crs.to_2d(), always_xy=True)
         plan = np.stack(to.transform(*ring[:, :2].T), axis=1)
         refuse(not np.isfinite(plan).all(), what, f"outside of {crs.name}", "where the cloud is")
-        ring = np.column_stack([plan, ring[:, 2:]])
-    else:
-        check_same_crs(what, own, "cloud", crs)
+        return np.column_stack([plan, ring[:, 2:]])
+    check_same_crs(what, own, "cloud", crs)
+    return ring
+
+
+def _placed(ring, own, crs, points, what):
+    """A ring in the cloud's system, with heights."""
+    ring = _in_system(ring, own, crs, what)
     flat = ring.shape[1] < 3 or not np.isfinite(ring[:, 2]).all()
     zero = not flat and np.abs(ring[:, :2]).max() > 1000 and not ring[:, 2].any()
     if points is not None and (flat or (zero and points[:, 2].min() > 1)):
