@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_points, check_positive, real_array
+from mmqa_lab._checks import check_choice, check_number, check_points, check_positive, real_array
 from mmqa_lab._results import Shown, about
 from mmqa_lab.stats import CONSISTENT_SCALE
 
@@ -94,6 +94,16 @@ class Plane(Shown):
             raise ValueError(f"Invalid plane, {tilted}. Must be {wanted}.")
         level /= slope
         return np.array([level, np.cross(self.normal, level)])
+
+    def directions(self, axes: str | float) -> np.ndarray:
+        """Return principal or horizontal axes (2, 3), or principal ones turned by degrees."""
+        if not isinstance(axes, str):
+            turn = np.radians(check_number(axes, "axes", unit="degrees"))
+            return (
+                np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]) @ self.axes
+            )
+        check_choice(axes, "axes", ("principal", "horizontal"))
+        return self.axes if axes == "principal" else self.horizontal_axes()
 
 
 def fit_plane(points: ArrayLike, *, robust: bool = False) -> Plane:

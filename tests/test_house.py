@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from rooms import with_rooms
 
 import mmqa_lab
 from mmqa_lab.studies import STUDIES, TOOLS
@@ -79,14 +80,12 @@ def test_imports_point_down(path):
         assert name != "io" or room not in NO_FILES
 
 
-def test_the_package_lists_its_rooms_in_the_order_of_their_imports():
+def test_the_package_and_the_contributors_page_list_each_room_once():
     listed = re.findall(r"^- ``(\w+)``: ", mmqa_lab.__doc__, re.MULTILINE)
     inside = {"__init__", "__main__", "_compiled", "_results", "_streams"}
-    for row in LAYERS:
-        rooms = set(row.split()) - inside
-        assert set(listed[: len(rooms)]) == rooms
-        del listed[: len(rooms)]
-    assert not listed
+    assert sorted(listed) == sorted({*" ".join(LAYERS).split()} - inside)
+    page = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    assert with_rooms(page) == page  # python tests/rooms.py writes it
 
 
 @pytest.mark.parametrize(

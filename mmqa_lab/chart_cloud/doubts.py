@@ -12,8 +12,8 @@ from mmqa_lab.spacing.empty import EmptySpace, places_within
 from mmqa_lab.spacing.neighbours import tree_of
 
 __all__ = [
-    "COARSE_MM", "PAIRS", "is_below_step", "is_coarse", "part_off", "remark_on_form",
-    "remark_on_gaps", "remark_on_layers", "remark_on_part", "remarks_on_points",
+    "COARSE_MM", "PAIRS", "is_below_step", "is_coarse", "part_off", "remarks_on_points",
+    "remarks_on_surface",
 ]  # fmt: skip
 __dir__ = __all__.copy
 
@@ -117,6 +117,15 @@ def remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
     )
 
 
+def remarks_on_surface(points, plane, xy, outline, has_polygon, step_mm, scale):
+    """Remarks on what lies empty, and on a surface that is no plane with noise alone."""
+    residuals_mm = 1000 * plane.residuals
+    layers = _layers(residuals_mm, step_mm)
+    gaps = _gaps(xy, outline, has_polygon) if outline.area else ()
+    part = _part(points, plane, scale, step_mm)
+    return (*gaps, *layers, *part, *_form(xy, residuals_mm, step_mm, scale))
+
+
 def is_coarse(d1_mm: float, step_mm: float) -> bool:
     """Return whether steps of coordinates decide a spacing: it then has no interval.
 
@@ -139,7 +148,7 @@ def is_below_step(d1_mm: ArrayLike, step_mm: float) -> np.ndarray:
     return np.multiply(2, d1_mm) < step_mm
 
 
-def remark_on_gaps(xy, outline, has_polygon):
+def _gaps(xy, outline, has_polygon):
     """A remark if a part of the outline is empty beside what the other gaps let expect."""
     places, border = places_within(outline, most=GAP_PLACES)
     away = tree_of(xy).query(places)[0]
@@ -166,7 +175,7 @@ def is_by_chance(xy, axes):
     return axes != "horizontal" and wide < ALIKE * narrow
 
 
-def remark_on_form(xy, residuals_mm, step_mm, scale):
+def _form(xy, residuals_mm, step_mm, scale):
     """A remark if the form of a surface, bent or stepped, is most of its distances from a plane."""
     if len(xy) < FEWEST_POINTS or np.std(residuals_mm) < max(step_mm / 4, COARSE_MM):
         return []
@@ -195,7 +204,7 @@ def remark_on_form(xy, residuals_mm, step_mm, scale):
     ]
 
 
-def remark_on_layers(residuals_mm, step_mm):
+def _layers(residuals_mm, step_mm):
     """A remark if the distances from the plane have two peaks, so they are not noise alone."""
     low, high = np.quantile(residuals_mm, [0.005, 0.995])
     width = max(np.std(residuals_mm) / 4, 1.5 * step_mm)
@@ -228,12 +237,12 @@ def part_off(points, scale, step_mm=0.0):
     return off, checked_plane(points[~off])
 
 
-def remark_on_part(points, plane, sigma_mm, scale, step_mm):
+def _part(points, plane, scale, step_mm):
     """A remark if a part that stands off turns the regression plane or widens sigma_MAD."""
     off, without = part_off(points, scale, step_mm)
     if without is None:
         return ()
-    alone_mm = 1000 * sigma_mad(without.residuals, scale)
+    sigma_mm, alone_mm = (1000 * sigma_mad(one.residuals, scale) for one in (plane, without))
     if sigma_mm <= MISLED * alone_mm + 1e-6:
         return ()
     turn = np.degrees(np.arccos(min(1.0, abs(plane.normal @ without.normal))))

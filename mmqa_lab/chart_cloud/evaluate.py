@@ -11,21 +11,8 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import (
-    check_choice,
-    check_number,
-    check_points,
-    check_polygon,
-    check_positive,
-    polygon_rings,
-)
-from mmqa_lab.chart_cloud.doubts import (
-    remark_on_form,
-    remark_on_gaps,
-    remark_on_layers,
-    remark_on_part,
-    remarks_on_points,
-)
+from mmqa_lab._checks import check_points, check_polygon, check_positive, polygon_rings
+from mmqa_lab.chart_cloud.doubts import remarks_on_points, remarks_on_surface
 from mmqa_lab.chart_cloud.quality import CloudQuality
 from mmqa_lab.planes import CONSISTENT_SCALE, checked_plane, sigma_mad
 from mmqa_lab.spacing.quadrants import checked_spacing
@@ -135,24 +122,21 @@ def evaluate_cloud(
                 f"nearest point of the cloud is {away:.3g} m from its centre."
             )
         points = points[inside]
+    step_mm = 1000 * np.fmax.reduce([resolution, step_of(points), np.spacing(np.abs(points).max())])
     plane = checked_plane(points)
+    sigma_mad_mm = 1000 * sigma_mad(plane.residuals, scale)
     if axes is None:
         axes = "horizontal" if abs(plane.normal[2]) < UPRIGHT_COSINE else "principal"
-    framed = replace(plane, axes=_directions(plane, axes))
+    framed = replace(plane, axes=plane.directions(axes))
     xy = framed.project(points)
-    gaps = checked_spacing(xy, radius)
     hull = shapely.convex_hull(shapely.linestrings(xy))
     outline = hull if polygon is None else outline_on(polygon, framed, surface.normal)
-    sigma_mad_mm = 1000 * sigma_mad(plane.residuals, scale)
-    step_mm = 1000 * np.fmax.reduce([resolution, step_of(points), np.spacing(np.abs(points).max())])
+    gaps = checked_spacing(xy, radius)
     remarks = remarks_on_points(gaps, step_mm, sigma_mad_mm, hull.area, outline.area, axes)
-    if outline.area:
-        remarks += remark_on_gaps(xy, outline, polygon is not None)
-    remarks += tuple(remark_on_layers(1000 * plane.residuals, step_mm))
-    remarks += remark_on_part(points, plane, sigma_mad_mm, scale, step_mm)
-    remarks += tuple(remark_on_form(xy, 1000 * plane.residuals, step_mm, scale))
+    given = polygon is not None
+    remarks += remarks_on_surface(points, plane, xy, outline, given, step_mm, scale)
     return CloudQuality(
-        area_polygon_m2=np.nan if polygon is None else outline.area,
+        area_polygon_m2=outline.area if given else np.nan,
         area_hull_m2=float(hull.area),
         sigma_mad_mm=sigma_mad_mm,
         axes=axes if isinstance(axes, str) else f"principal + {float(axes):g} degrees",
@@ -182,15 +166,6 @@ def plan_chart(points, side, radius):
         spacing=checked_spacing(np.ascontiguousarray(points[:, :2]), radius),
         outline=outline,
     )
-
-
-def _directions(plane, axes):
-    """The axes of the quadrants, shape (2, 3)."""
-    if not isinstance(axes, str):
-        turn = np.radians(check_number(axes, "axes", unit="degrees"))
-        return np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]) @ plane.axes
-    check_choice(axes, "axes", ("principal", "horizontal"))
-    return plane.axes if axes == "principal" else plane.horizontal_axes()
 
 
 def step_of(points):

@@ -46,7 +46,7 @@ FAULTS = (
     ("stats", "known.std(ddof=1)", "known.std(ddof=0)", "test_stats.py"),
     ("planes", "np.abs(residuals - np.median(residuals))", "np.abs(residuals)", "test_planes.py"),
     ("planes", "np.std(self.residuals, ddof=1)", "np.std(self.residuals)", "test_planes.py"),
-    ("chart_cloud", "np.sin(turn)], [-np.sin(turn)", "-np.sin(turn)], [np.sin(turn)",
+    ("planes", "np.sin(turn)], [-np.sin(turn)", "-np.sin(turn)], [np.sin(turn)",
      "test_chart_cloud.py"),
     ("spacing", "self.d[-1] / self.d[0]", "self.d[-2] / self.d[0]", "test_spacing.py"),
     ("spacing", "np.sqrt(1 / check_positive(rho0", "np.sqrt(2 / check_positive(rho0",
