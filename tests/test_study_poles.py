@@ -5,6 +5,7 @@ import gated_street
 import numpy as np
 import other_street
 import pandas as pd
+import poles_training as training
 import pytest
 from conftest import spoiled
 
@@ -14,7 +15,6 @@ from mmqa_lab.poles import learned
 from mmqa_lab.published import ledger
 from mmqa_lab.simulate import streets
 from mmqa_lab.studies import poles as study
-from mmqa_lab.studies import poles_training as training
 
 COLUMNS = ["method", "quantity", "corridor_m", "class"]
 

@@ -15,7 +15,6 @@ __all__ = [
     "check_together", "check_upright", "check_values", "coordinate_columns", "plain_name",
     "real_array", "type_step",
 ]  # fmt: skip
-__dir__ = __all__.copy
 
 
 # No place is as far from the origin, m.

@@ -15,7 +15,6 @@ __all__ = [
     "check_number", "check_outputs", "check_positive", "full_path", "is_file", "listed",
     "needs", "refuse",
 ]  # fmt: skip
-__dir__ = __all__.copy
 
 
 # Letters of a list of names within a sentence.

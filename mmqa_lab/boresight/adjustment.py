@@ -15,7 +15,6 @@ from mmqa_lab.planes import sigma_mad
 from mmqa_lab.rotations import rotations
 
 __all__ = ["PARAMETERS", "Adjustment", "OnGround", "OnPlanes", "OnPoles", "Shots", "stay_open"]
-__dir__ = __all__.copy
 
 
 PARAMETERS = ("roll_deg", "pitch_deg", "heading_deg", "x_m", "y_m", "z_m")

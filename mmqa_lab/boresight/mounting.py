@@ -30,7 +30,6 @@ __all__ = [
     "LEAST_POINTS", "Calibration", "calibrate", "corrected", "planes_in_common",
     "points_at_control", "poles_in_common",
 ]  # fmt: skip
-__dir__ = __all__.copy
 
 
 UNIT = np.array([180 / np.pi] * 3 + [1.0] * 3)

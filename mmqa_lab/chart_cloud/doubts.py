@@ -15,7 +15,6 @@ __all__ = [
     "COARSE_MM", "PAIRS", "is_below_step", "is_coarse", "part_off", "remarks_on_points",
     "remarks_on_surface",
 ]  # fmt: skip
-__dir__ = __all__.copy
 
 
 LAYER_ERRORS = 4.0

@@ -21,7 +21,6 @@ __all__ = [
     "CHART_MARGINS_M", "chart_polygon", "evaluate_cloud", "inside_polygon", "plan_chart",
     "step_of",
 ]  # fmt: skip
-__dir__ = __all__.copy
 
 
 UPRIGHT_COSINE = 0.7

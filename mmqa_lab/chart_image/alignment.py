@@ -21,7 +21,6 @@ __all__ = [
     "BLOCKS", "CERTAIN", "CLEARLY", "MIDDLE", "SIGMAS_PX", "SMALLEST_CORRELATION", "SPREADS",
     "Level", "align", "straight", "with_bend",
 ]  # fmt: skip
-__dir__ = __all__.copy
 
 
 WHERE = "place of the chart"

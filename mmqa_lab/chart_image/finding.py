@@ -27,7 +27,6 @@ from mmqa_lab.chart_image.maps import (
 from mmqa_lab.charts import Bar, Layout, Marker, reflectance
 
 __all__ = ["ENLARGED_PIXELS", "by_bars", "by_chart", "confirmed", "decoded", "locate"]
-__dir__ = __all__.copy
 
 
 WIRES_PX = 9

@@ -18,7 +18,6 @@ from mmqa_lab.chart_image.maps import ChartMap
 from mmqa_lab.charts import Bar, Layout, reflectance
 
 __all__ = ["WIDE_PX", "Tones", "find_tones", "pixel_sizes"]
-__dir__ = __all__.copy
 
 
 SMALLEST_CONTRAST = 3.0

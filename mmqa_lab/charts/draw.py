@@ -14,7 +14,6 @@ from mmqa_lab.charts.elements import WHITE, Bar, Text
 from mmqa_lab.charts.layout import Layout
 
 __all__ = ["decode", "drawn", "encode", "reflectance"]
-__dir__ = __all__.copy
 
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)

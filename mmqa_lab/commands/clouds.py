@@ -17,7 +17,6 @@ from mmqa_lab.commands.machine import (
 )
 
 __all__ = ["evaluate", "info", "lhd", "map_", "metrics_of", "pattern", "poles"]
-__dir__ = __all__.copy
 
 
 @table

@@ -8,7 +8,6 @@ from mmqa_lab.commands.machine import (
 )
 
 __all__ = ["plan", "tender"]
-__dir__ = __all__.copy
 
 
 @table

@@ -26,7 +26,6 @@ from mmqa_lab.spacing import quadrant_distances
 from mmqa_lab.spacing.empty import STEPS
 
 __all__ = ["FIGURES", "map_cloud", "placed", "summarise", "write_map"]
-__dir__ = __all__.copy
 
 
 if TYPE_CHECKING:

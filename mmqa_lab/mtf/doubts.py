@@ -12,7 +12,6 @@ __all__ = [
     "CUT", "STAR_PARTS", "check", "check_cycles", "clipped_side", "remarks_on",
     "remarks_on_star",
 ]  # fmt: skip
-__dir__ = __all__.copy
 
 
 EDGE_BLOCKS = 8

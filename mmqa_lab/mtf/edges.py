@@ -33,7 +33,6 @@ from mmqa_lab.mtf.transfer import (
 )
 
 __all__ = ["EdgeFit", "EdgeResponse", "fit_edge", "fit_line"]
-__dir__ = __all__.copy
 
 
 FARTHEST_PX, FARTHEST_SPREADS = 60.0, 24.0

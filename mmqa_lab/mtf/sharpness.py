@@ -14,7 +14,6 @@ from mmqa_lab.chart_image import ChartMap, Tones, read_pattern, resolution
 from mmqa_lab.charts import LinePairs
 
 __all__ = ["haar_sharpness", "read_bars", "resolving_power"]
-__dir__ = __all__.copy
 
 
 if TYPE_CHECKING:

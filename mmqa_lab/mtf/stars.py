@@ -20,7 +20,6 @@ from mmqa_lab.mtf.doubts import STAR_PARTS, check_cycles, clipped_side, remarks_
 from mmqa_lab.mtf.transfer import FITTED_TRANSFERS, FREQUENCIES, SIGMOID_PX, crossing, lens_mtf
 
 __all__ = ["StarMtf", "measure_star"]
-__dir__ = __all__.copy
 
 PLAIN_PX = 3.0
 """Pixels this far from all borders of a sector show its plain grey value."""

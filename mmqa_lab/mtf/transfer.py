@@ -18,7 +18,6 @@ __all__ = [
     "BINS_PER_PIXEL", "COARSE", "FITTED_TRANSFERS", "FREQUENCIES", "LENS_TRANSFERS",
     "SIGMOID_PX", "by_bins", "crossing", "full_width", "lens_mtf", "profile", "spread_edge",
 ]  # fmt: skip
-__dir__ = __all__.copy
 
 
 FREQUENCIES = np.linspace(0, 1, 401)

@@ -10,7 +10,6 @@ from mmqa_lab._compiled import njit
 from mmqa_lab.cloud import extent, sort_into_cells
 
 __all__ = ["CELLS_PER_SIZE", "LEAST_AREA", "LEAST_TRIAL", "Grid", "assign", "grow", "try_planes"]
-__dir__ = __all__.copy
 
 
 # Cells of the grid along the smallest plane, and its least area in squared sizes (1 m2 at 2 m).

@@ -6,7 +6,6 @@ from scipy import ndimage
 from mmqa_lab.poles.common import BIN_M, pairs
 
 __all__ = ["candidates", "circles", "fit_axes"]
-__dir__ = __all__.copy
 
 
 MAX_LEAN, WIDEST_M = 0.27, 0.6

@@ -20,7 +20,6 @@ __all__ = [
     "Thin", "around", "drop_duplicates", "first_reason", "ground", "joined", "lowest", "pairs",
     "table", "thinned",
 ]  # fmt: skip
-__dir__ = __all__.copy
 
 
 GROUND_CELL_M, GROUND_WINDOW, GROUND_STEP_M = 1.0, 9, 0.5

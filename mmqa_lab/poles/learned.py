@@ -3,7 +3,7 @@
 The cloud is thinned (``common``), and columns of points become candidates with an axis (``axes``).
 Each gets the ``MEASURES`` (``measures``). Shallow trees of two forests, grown on simulated streets,
 give the score. The method needs no scan lines.
-``python -m mmqa_lab.studies.poles_training`` grows the forest ``trees.csv`` again.
+``python tests/poles_training.py`` grows the forest ``trees.csv`` again.
 """
 
 from collections.abc import Callable
@@ -35,7 +35,6 @@ __all__ = [
     "MEASURES", "Trees", "describe", "detect", "grow", "lessons", "own_frame", "read",
     "shipped", "write",
 ]  # fmt: skip
-__dir__ = __all__.copy
 
 
 LOW_M = 0.1

@@ -9,7 +9,6 @@ from mmqa_lab.poles.axes import circles
 from mmqa_lab.poles.common import BIN_M, BINS, around, pairs
 
 __all__ = ["MEASURES", "longest_runs", "measure", "sections"]
-__dir__ = __all__.copy
 
 
 RADII_M = np.array([0.08, 0.15, 0.25, 0.40, 0.55])

@@ -29,7 +29,6 @@ from mmqa_lab.radiometry.doubts import RELATIVE_STD, SHADOW, misfit_scale, warn
 from mmqa_lab.radiometry.reflectance import walthall_terms
 
 __all__ = ["Block", "BlockAdjustment", "adjust_block", "sun_cosine", "surfaces_of", "view_terms"]
-__dir__ = __all__.copy
 
 
 UNDETERMINED = (

@@ -14,7 +14,6 @@ __all__ = [
     "RELATIVE_STD", "SHADOW", "looseness", "misfit_scale", "odd_target", "unlikely_term",
     "warn",
 ]  # fmt: skip
-__dir__ = __all__.copy
 
 
 SHADOW, RELATIVE_STD = 6.0, 0.02

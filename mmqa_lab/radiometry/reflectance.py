@@ -18,7 +18,6 @@ __all__ = [
     "EmpiricalLine", "WalthallFit", "empirical_line", "fit_walthall", "ndvi",
     "reflectance_factor", "walthall_terms",
 ]  # fmt: skip
-__dir__ = __all__.copy
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,7 +34,6 @@ __all__ = [
     "SensorFit", "coarse_pairs", "fit_sensor", "patch_statistics", "relative_exposure",
     "saturation_level", "stability",
 ]  # fmt: skip
-__dir__ = __all__.copy
 
 FEWEST_PILED, LARGEST_DN = 9, tuple(2**bits - 1 for bits in (8, 10, 12, 14, 16))
 """Pixels of one value that may be chance; the largest digital numbers of sensors and files."""

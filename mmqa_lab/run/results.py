@@ -39,7 +39,6 @@ from mmqa_lab.run.quotes import as_latex, quoted_name, values_tex, values_typ
 __all__ = [
     "RECORD", "Run", "new_record", "parameter_names", "read_record", "verdict", "write_record",
 ]  # fmt: skip
-__dir__ = __all__.copy
 
 
 # Formats of figures, with what is left out so that equal runs give equal bytes.

@@ -16,7 +16,6 @@ from mmqa_lab.scan_pattern.mimic import target_normal
 from mmqa_lab.scan_pattern.setup import SETUP_NAMES, TARGET_NAMES, Patch, ScanSetup, Target
 
 __all__ = ["explain_error", "largest_speed", "propagate", "speeds"]
-__dir__ = __all__.copy
 
 
 SPEEDS = np.geomspace(0.01, 100.0, 4001)  # tried before the refinement, m/s

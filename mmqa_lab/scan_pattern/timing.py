@@ -9,7 +9,6 @@ __all__ = [
     "group_means", "mirror_frequency", "pulse_period", "revolutions_from_time", "solve_groups",
     "solved",
 ]  # fmt: skip
-__dir__ = __all__.copy
 
 
 PAUSE = 20  # longer pauses, in typical time steps, separate runs of points

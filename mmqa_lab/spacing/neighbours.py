@@ -19,7 +19,6 @@ import numpy as np
 from mmqa_lab._compiled import in_threads, njit
 
 __all__ = ["by_direction", "by_quadrant", "nearest_by_sector", "nearest_per_quadrant", "tree_of"]
-__dir__ = __all__.copy
 
 
 STEP_DEG = 4.0

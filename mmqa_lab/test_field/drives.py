@@ -10,7 +10,6 @@ from mmqa_lab._checks import check_points, check_positive, check_row, check_toge
 from mmqa_lab.stats import errors, mean_reach, student_reach
 
 __all__ = ["GROSS", "LEAST_GROSS_M", "figures", "mean_ends", "split_drives", "thinned", "trend"]
-__dir__ = __all__.copy
 
 
 GROSS, LEAST_GROSS_M = 5.0, 0.01

@@ -26,7 +26,6 @@ __all__ = [
     "LOCK", "SHOWN", "SPOKEN", "WIDE", "Halt", "canvas_of", "choice", "corners_of", "explore",
     "forget_zoom", "in_turn", "labelled", "largest_rectangle", "slider",
 ]  # fmt: skip
-__dir__ = __all__.copy
 
 
 WIDE = {"width": "24em"}

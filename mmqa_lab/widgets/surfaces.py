@@ -27,7 +27,6 @@ from mmqa_lab.widgets.screen import SHOWN, WIDE, Halt, canvas_of, forget_zoom, i
 from mmqa_lab.widgets.selection import SelectionTool
 
 __all__ = ["Kept", "KeptSelection", "SurfaceTool", "kind_of", "true_colours"]
-__dir__ = __all__.copy
 
 
 # Most planes listed, those with the most points first: of at least this share of the points of the

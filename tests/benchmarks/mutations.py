@@ -125,8 +125,6 @@ FAULTS = (
     ("poles", "2 * np.median(away) + LOW_M", "1e9", "test_poles.py"),
     ("poles", "axes[:, 2:4] @ turned[:2, :2].T", "axes[:, 2:4]", "test_poles.py"),
     ("poles", "top < STOUT * ", "0 * top > ", "test_poles.py"),
-    ("studies", "value=factor * trees.value", "value=trees.value", "test_study_poles.py"),
-    ("studies", "first + unit * STEP]", "first]", "test_study_poles.py"),
     ("studies", "counted[first], counted[other]", "counted[other], counted[first]",
      "test_study_poles.py"),
     ("tender", "COVERAGE = 1.96", "COVERAGE = 1.0", "test_tender.py"),

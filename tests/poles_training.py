@@ -1,6 +1,6 @@
 """Training of the learned pole detector, on simulated streets alone.
 
-``python -m mmqa_lab.studies.poles_training`` grows the trees again and writes ``trees.csv`` in
+``python tests/poles_training.py`` grows the trees again and writes ``trees.csv`` in
 ``mmqa_lab/poles``, with the same bytes each time. More than half of the examples are yards, some on
 a slope, of posts, boards, trees with low crowns, and of objects that look like posts: pillars,
 fences, wires, scaffolding. The others are crowded streets. Some views are sparse and rough. Every
