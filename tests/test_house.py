@@ -130,6 +130,7 @@ GONE = {
     "commands.surveys": "commands",
     "io.clouds.write_cloud": "io.write_cloud",
     "io.images.read_heights": "io.read_heights",
+    "io.ply.read_ply": "io.read_cloud",
     "io.tables.read_trajectory": "io.read_trajectory",
 }
 """Public names of 0.4 that are no more, each with what takes its place, as in CHANGELOG.md."""

@@ -13,12 +13,9 @@ import numpy as np
 
 from mmqa_lab._checks import check_choice, check_columns, check_file, refuse
 from mmqa_lab.cloud import Cloud, unit_remarks
-from mmqa_lab.io.e57 import e57_pieces
+from mmqa_lab.io.forms import e57_pieces, ptx_pieces, read_pcd, read_ply
 from mmqa_lab.io.las import LAS_ENDINGS, address_of, copc_pieces, las_pieces
 from mmqa_lab.io.marks import FLAGS, Piece, marked
-from mmqa_lab.io.pcd import read_pcd
-from mmqa_lab.io.ply import read_ply
-from mmqa_lab.io.ptx import ptx_pieces
 from mmqa_lab.io.signatures import form_of, refuse_unread
 from mmqa_lab.io.tables import text_places
 

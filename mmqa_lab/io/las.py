@@ -6,6 +6,7 @@ import os
 import re
 import struct
 import warnings
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,6 @@ from numpy.typing import ArrayLike
 from mmqa_lab._checks import check_choice, check_columns, check_points, refuse
 from mmqa_lab.cloud import Cloud, extent
 from mmqa_lab.io.files import reading, write_atomically
-from mmqa_lab.io.las_heads import plain_source
 from mmqa_lab.io.marks import FLAGS, Piece
 from mmqa_lab.io.outlines import plan_extent
 from mmqa_lab.io.systems import las_system
@@ -40,6 +40,9 @@ LONGEST_NAME = 32
 
 # The first format in layers, and how many formats 6 to 10 have without extra bytes.
 FIRST_LAYERED, LAYERS = 6, (9, 10, 11, 10, 12)
+
+# Bytes of the head of a record before the points.
+RECORD_HEAD = 54
 
 
 def write_cloud(path: str | os.PathLike, cloud: Cloud | ArrayLike, *, scale: float = 0.001) -> None:
@@ -142,6 +145,26 @@ def _check_sizes(path):
             raise ValueError("records behind the first point, or a chunk of more points than all")
 
 
+def _plain_source(path):
+    """What to give to the reader of LAS: the path, or a copy with plain letters in its names.
+
+    Letters beside ASCII in identifiers and descriptions are replaced by question marks there.
+    """
+    with Path(path).open("rb") as file:
+        start, points, records = struct.unpack("<94xHII", file.read(104))
+        file.seek(0)
+        before = bytearray(file.read(points))
+        spans, at = [slice(26, 90)], start
+        for _ in range(records):
+            spans += [slice(at + 2, at + 18), slice(at + 22, at + RECORD_HEAD)]
+            at += RECORD_HEAD + struct.unpack("<H", before[at + 20 : at + 22])[0]
+        if all(bytes(before[span]).isascii() for span in spans):
+            return path
+        for span in spans:
+            before[span] = bytes(byte if byte < 128 else ord("?") for byte in before[span])
+        return BytesIO(bytes(before) + file.read())
+
+
 def las_pieces(path, chunk, columns):
     """The pieces of a LAS or LAZ file."""
     import laspy
@@ -152,7 +175,7 @@ def las_pieces(path, chunk, columns):
     refuse(newer, f"cloud {path}", f"LAS {version[0]}.{version[1]}", "LAS 1.0 to 1.4")
     with reading(path, "cloud", LAS):
         _check_sizes(path)
-        reader = laspy.open(plain_source(path))
+        reader = laspy.open(_plain_source(path))
     with reader:
         header, read = reader.header, 0
         _check_header(path, header)
@@ -172,12 +195,9 @@ def las_pieces(path, chunk, columns):
                 part = next(parts, None)
                 if part is None:
                     break
-                attributes = {name: np.array(part[name]) for name in names}
-                points = np.stack([part.x, part.y, part.z], axis=1)
+                points, attributes = _taken(part, names)
                 raw = [np.asarray(part[axis]) for axis in "XYZ"]
             read += len(points)
-            if "scan_angle" in attributes:
-                attributes["scan_angle"] = attributes["scan_angle"] * SCAN_ANGLE_STEP
             over = outside = np.zeros(1, bool)
             for axis in raw:
                 if axis.min() == LEAST or axis.max() == LARGEST:
@@ -190,6 +210,14 @@ def las_pieces(path, chunk, columns):
             yield Piece(points, attributes, about, header.point_count, left, said)
     found = f"bytes for {read} points where the header says {header.point_count}"
     refuse(read < header.point_count, f"cloud {path}", found, LAS)
+
+
+def _taken(part, names):
+    """The points and columns of a part as laspy holds it."""
+    columns = {name: np.array(part[name]) for name in names}
+    if "scan_angle" in columns:
+        columns["scan_angle"] = columns["scan_angle"] * SCAN_ANGLE_STEP
+    return np.stack([part.x, part.y, part.z], axis=1), columns
 
 
 def address_of(path: str | os.PathLike) -> str:
@@ -216,10 +244,7 @@ def copc_pieces(address, columns, within):
         part = reader.query(box)
         names = [name for name in header.point_format.dimension_names if name not in "XYZ"]
         names = [name for name in names if columns is None or name in (*columns, *FLAGS)]
-        attributes = {name: np.array(part[name]) for name in names}
-        points = np.stack([part.x, part.y, part.z], axis=1)
-    if "scan_angle" in attributes:
-        attributes["scan_angle"] = attributes["scan_angle"] * SCAN_ANGLE_STEP
+        points, attributes = _taken(part, names)
     about = {"resolution": float(max(header.scales)), "crs": crs}
     yield Piece(points, attributes, about, len(points))
 

@@ -5,9 +5,13 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from mmqa_lab.io.ptx import PTX_HEAD
+__all__ = ["PTX_HEAD", "form_of", "refuse_unread"]
 
-__all__ = ["form_of", "refuse_unread"]
+# Columns and rows of a scan, the scanner's place and axes, and the matrix to the common system.
+PTX_HEAD = re.compile(
+    rb"\s*(\d+)[ \t]*\n[ \t]*(\d+)[ \t]*\n((?:[^\s]+[ \t]+){2}[^\s]+[ \t]*\n){4}"
+    rb"(((?:[^\s]+[ \t]+){3}[^\s]+[ \t]*\n){4})"
+)
 
 # The readers of clouds by how files begin, whatever their ending says.
 BEGUN = {"e57": rb"ASTM-E57", "las": rb"LASF", "ply": rb"(\xef\xbb\xbf)?ply\s"}
