@@ -6,6 +6,8 @@ import json
 import os
 import re
 import shutil
+import subprocess
+import sys
 import tempfile
 import warnings
 from collections.abc import Mapping
@@ -39,6 +41,28 @@ OUTLINE_ENDINGS = (*JSON_ENDINGS, ".gpkg", ".shp", ".kml", ".dxf", ".wkt")
 
 # Fields that name an outline, the first that is there.
 NAME_FIELDS = ("name", "label", "title", "id", "fid", "layer")
+
+# What reads a file of a GIS: the systems of its layers, and fields and shape of each row.
+GDAL = """
+import contextlib, json, sys, warnings
+warnings.simplefilter("ignore")
+sys.modules.update(dict.fromkeys(("pandas", "pyarrow", "shapely")))  # would take most of the time
+with contextlib.suppress(ImportError, ValueError):
+    import resource
+    resource.setrlimit(resource.RLIMIT_AS, (2**32, 2**32))
+import pyogrio
+pyogrio.set_gdal_config_options({"SHAPE_RESTORE_SHX": "YES"})
+systems, rows = [], []
+for layer, _ in pyogrio.list_layers(sys.argv[1]):
+    about, _, shapes, fields = pyogrio.raw.read(sys.argv[1], layer=layer)
+    systems.append(about["crs"])
+    for row, shape in enumerate(() if shapes is None else shapes):
+        known = {name: field[row] for name, field in zip(about["fields"], fields)}
+        if shape is not None:
+            rows.append([known, shape.hex()])
+json.dump([systems, rows], sys.stdout, default=str)
+"""
+GDAL_S = 12.0
 
 # A surface narrower than this is no surface: its vertices are degrees.
 NARROWEST_M = 0.001
@@ -162,29 +186,22 @@ def _of_geojson(path, what):
 
 
 def _of_gis(path, what):
-    """The shapes of a file that GDAL reads with their names, and its system."""
+    """The shapes of a file that GDAL reads with their names, and its system.
+
+    GDAL reads in a process of its own, which ends where a damaged file lets it die or never end.
+    """
     import shapely
 
-    pyogrio = needs("files", "pyogrio")
-    shapes, systems = [], []
-    silent = warnings.catch_warnings(action="ignore")  # the sentence says what is wrong
-    with (
-        silent,
-        reading(path, "polygon", "outlines of a GIS"),
-        tempfile.TemporaryDirectory() as folder,
-    ):
-        pyogrio.set_gdal_config_options({"SHAPE_RESTORE_SHX": "YES"})
+    needs("files", "pyogrio")
+    with reading(path, "polygon", "outlines of a GIS"), tempfile.TemporaryDirectory() as folder:
         for part in path.parent.glob(f"{path.stem}.*"):  # an index is made beside a shapefile
             if part == path or path.suffix.lower() == ".shp":
                 shutil.copy(part, folder)
-        copy = Path(folder) / path.name
-        for layer, _ in pyogrio.list_layers(copy):
-            about, _, stored, fields = pyogrio.raw.read(copy, layer=layer)
-            systems.append(about["crs"])
-            for row, shape in enumerate(stored if stored is not None else ()):
-                known = dict(zip(about["fields"], (field[row] for field in fields), strict=True))
-                if shape is not None:
-                    shapes.append((_name(known), shapely.from_wkb(shape)))
+        order = [sys.executable, "-P", "-c", GDAL, str(Path(folder) / path.name)]
+        seconds = GDAL_S + path.stat().st_size / 1e6
+        done = subprocess.run(order, capture_output=True, check=True, timeout=seconds)
+        systems, rows = json.loads(done.stdout)
+        shapes = [(_name(known), shapely.from_wkb(shape)) for known, shape in rows]
     system = next(filter(None, systems), None)
     return shapes, None if system is None else named_system(system, what)
 

@@ -284,14 +284,14 @@ class Worker:
             self.child.wait()
 
 
-def fuzz(count, seed, keep=None):
-    """Rows (file, kind, number, outcome) of mutants drawn over files and kinds."""
+def fuzz(count, seed, keep=None, left_out=()):
+    """Rows (file, kind, number, outcome) of mutants drawn over files, but for endings, and kinds."""
     rng, worker = random.Random(seed), Worker()
     with tempfile.TemporaryDirectory() as name:
         sound, folder = Path(name) / "sound", Path(name) / "mutants"
         sound.mkdir()
         folder.mkdir()
-        files = seeds(sound)
+        files = {file: one for file, one in seeds(sound).items() if file.suffix not in left_out}
         for file in files:
             read = file.with_suffix(".shp") if file.suffix in SHAPE else file
             yield file.name, "sound", -1, worker.outcome(files[file], read)
