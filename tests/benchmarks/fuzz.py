@@ -285,7 +285,7 @@ class Worker:
 
 
 def fuzz(count, seed, keep=None, left_out=()):
-    """Rows (file, kind, number, outcome) of mutants drawn over files, but for endings, and kinds."""
+    """Rows (file, kind, number, outcome) of mutants, drawn over files and kinds."""
     rng, worker = random.Random(seed), Worker()
     with tempfile.TemporaryDirectory() as name:
         sound, folder = Path(name) / "sound", Path(name) / "mutants"
