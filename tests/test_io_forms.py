@@ -161,7 +161,7 @@ def test_reference_points_that_are_given_twice_count_once(tmp_path):
     ("t.txt", "0.5 1 2 3 0 0 0 1\n1.5 2 2 3 0 0 0 1\n", "path", 2),
     ("r.csv", "system,quantity,value\nA,density_per_m2,12\n", "table", 1),
     ("c.xyz", "0 0 0\n1 0 0\n0 1 0\n", "text cloud", 3),
-    ("o.wkt", "POLYGON ((0 0, 1 0, 1 1, 0 0))", "1 outlines", 4),
+    ("o.wkt", "POLYGON ((0 0, 1 0, 1 1, 0 0))", "1 outlines", 3),
     ("s.out", np.zeros(34).tobytes(), "path (SBET)", 2),
 ])  # fmt: skip
 def test_info_says_what_a_file_is(tmp_path, name, content, kind, count):

@@ -122,18 +122,22 @@ def iterate_cloud(
         refuse_unread(path, "cloud")
         check_choice(ending, f"cloud {path} with ending", CLOUD_ENDINGS)
         form = ending[1:]
-    readers = {"e57": e57_pieces, "ptx": ptx_pieces, "pcd": read_pcd, "ply": read_ply}
+    scanned, others = {"e57": e57_pieces, "ptx": ptx_pieces}, {"pcd": read_pcd, "ply": read_ply}
     if address:
         pieces = copc_pieces(address, columns, within)
     elif form in ("las", "laz"):
         pieces = las_pieces(path, chunk, columns)
-    elif form in ("e57", "ptx"):
-        pieces = readers[form](path, scan)
+    elif form in scanned:
+        pieces = scanned[form](path, scan)
     else:
-        read = readers[form](path) if form in readers else text_places(path, "cloud", finite=False)
+        read = others[form](path) if form in others else text_places(path, "cloud", finite=False)
         pieces = [Piece(*read)]
-    scans = scan is None or form in ("e57", "ptx")
-    refuse(not scans, f"scan {scan} of cloud {path}", "no scans in it", "left away")
+    refuse(
+        scan is not None and form not in scanned,
+        f"scan {scan} of cloud {path}",
+        "no scans in it",
+        "left away",
+    )
     read, dropped, counted = 0, Counter(), Counter()
     for piece in pieces:
         piece = piece._replace(columns=_known(piece.columns))

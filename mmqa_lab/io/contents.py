@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mmqa_lab._checks import check_file, listed
+from mmqa_lab._checks import check_file, check_polygon, listed
 from mmqa_lab.cloud import Cloud, describe
 from mmqa_lab.io.clouds import iterate_cloud
 from mmqa_lab.io.files import plain_text
@@ -59,7 +59,7 @@ def describe_file(path: str | os.PathLike) -> Mapping[str, Any]:
     ending, form = path.suffix.lower(), form_of(path)
     if ending in OUTLINE_ENDINGS:
         names, rings, crs = stored_outlines(path)
-        flat = [np.pad(ring, ((0, 0), (0, 1)))[:, :3] for ring in rings]
+        flat = [check_polygon(np.pad(ring, ((0, 0), (0, 1)))[:, :3]) for ring in rings]
         known = describe(Cloud(np.concatenate(flat), crs=crs)) | {"outlines": listed(names)}
         return {"kind": f"{len(names)} outlines", **known}
     if is_raster(path) and (found := _raster(path)):
