@@ -106,7 +106,7 @@ def test_a_command_is_its_function():
 
 def test_calibrate_writes_corrected_clouds(call, tmp_path):
     street = make_test_field(length_m=40, seed=1)
-    head = simulate.Scanner(pulse_rate_hz=1e4, mirror_frequency_hz=50, heading_deg=45, tilt_deg=30)
+    head = simulate.Scanner(pulse_rate_hz=2e4, mirror_frequency_hz=50, heading_deg=45, tilt_deg=30)
     drives = drive_test_field(street, simulate.System("one head", (head,)), seed=4)
     rows = []
     for name, (cloud, path) in zip(("there", "back"), drives, strict=True):

@@ -2,12 +2,14 @@
 
 import http.server
 import json
+import sys
 import threading
 
 import numpy as np
 import pye57
 import pypcd4
 import pytest
+import tifffile
 
 from mmqa_lab import io, samples
 from mmqa_lab.__main__ import main
@@ -220,3 +222,11 @@ def test_what_a_polygon_needs_is_read_of_an_address(ranges, tmp_path, capsys, mo
         io.read_cloud(address)
     assert main(["evaluate", address.replace("b.copc", "c.copc")]) == 2
     assert "Must be a COPC file whose host answers" in capsys.readouterr().err
+
+
+def test_what_the_core_needs_for_a_raster_is_said(tmp_path, monkeypatch):
+    tifffile.imwrite(tmp_path / "i.tif", np.zeros((20, 30), np.uint8))
+    monkeypatch.setitem(sys.modules, "rasterio", None)
+    assert io.describe_file(tmp_path / "i.tif")["kind"] == "image"
+    with pytest.raises(ImportError, match=r"Missing rasterio: install mmqa_lab\[files\]"):
+        io.read_heights(tmp_path / "i.tif")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 from collections.abc import Mapping
@@ -62,8 +63,10 @@ def describe_file(path: str | os.PathLike) -> Mapping[str, Any]:
         flat = [check_polygon(np.pad(ring, ((0, 0), (0, 1)))[:, :3]) for ring in rings]
         known = describe(Cloud(np.concatenate(flat), crs=crs)) | {"outlines": listed(names)}
         return {"kind": f"{len(names)} outlines", **known}
-    if is_raster(path) and (found := _raster(path)):
-        return found
+    if is_raster(path):
+        with contextlib.suppress(ImportError):  # without rasterio a TIFF file is an image
+            if found := _raster(path):
+                return found
     if ending in IMAGE_ENDINGS:
         bands, rows, columns = read_bands(path).shape
         return {"kind": "image", "image": f"{columns} x {rows} pixels, {bands} bands"}
