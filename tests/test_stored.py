@@ -2,6 +2,7 @@
 
 import base64
 import io
+import re
 
 import nbformat
 import numpy as np
@@ -11,7 +12,7 @@ from PIL import Image
 
 from mmqa_lab.io import write_atomically
 from mmqa_lab.run import write_record
-from mmqa_lab.run.notebooks import code_hash, store
+from mmqa_lab.run.notebooks import _renew_readme, code_hash, store
 from mmqa_lab.run.speed import machine_speed, stored_seconds
 from mmqa_lab.studies import STUDIES, TOOLS, notebooks_folder
 
@@ -111,3 +112,24 @@ def test_no_cell_shows_a_representation_and_the_language_is_whole(study):
     shown = [out for cell in notebook.cells for out in cell.get("outputs", [])]
     assert not [out for out in shown if "<matplotlib" in out.get("data", {}).get("text/plain", "")]
     assert len(notebook.metadata["language_info"]) > 3  # or JupyterLab fills it in on opening
+
+
+def test_the_readme_is_short_and_has_the_stored_answers():
+    text = (notebooks_folder().parent / "README.md").read_text(encoding="utf-8")
+    seen = re.sub(r"!\[[^\]]*\]\([^)]*\)|\]\([^)]*\)", " ", text)
+    assert len(re.findall(r"[^\s|#*`-]*\w[^\s|]*", seen)) <= 900
+    brackets = re.findall(r"(?<!\])\(([^()]*)\)", re.sub(r"```.*?```", "", text, flags=re.DOTALL))
+    assert [one for one in brackets if len(one.split()) > 6] == []
+    answers = pd.read_csv(notebooks_folder() / "answers.csv").set_index("study")
+    for study in STUDIES:
+        short = answers.loc[study.stem, "short"]
+        assert len(short.split()) <= 18
+        assert not re.search(r"[(\[]", short)
+        assert f"{study.notebook}.ipynb) | {short} |" in text
+
+
+def test_new_answers_come_into_the_readme(tmp_path):
+    readme = tmp_path / "README.md"
+    readme.write_text("| ![old](a.png) | [05 MIMIC](notebooks/05_mimic.ipynb) | Old. |\n")
+    _renew_readme(readme, {"mimic": ["New, 5 %.", ""], "poles": ["Other.", ""]})
+    assert readme.read_text().endswith("(notebooks/05_mimic.ipynb) | New, 5 %. |\n")

@@ -8,6 +8,7 @@ import base64
 import hashlib
 import io
 import os
+import re
 import subprocess
 import time
 from pathlib import Path
@@ -148,6 +149,7 @@ def store(notebooks, folder, studies):
             _store_figure(folder / study.stem / f"{figure}.png", thumbnail, THUMBNAIL_PX)
     rows = [(stem, *both) for stem, both in answers.items()]
     write_atomically(notebooks / ANSWERS, pd.DataFrame(rows, columns=["study", "short", "answer"]))
+    _renew_readme(notebooks.parent / "README.md", answers)
     times = pd.DataFrame(seconds.items(), columns=["study", "seconds"])
     write_atomically(notebooks / TIMES, times)
     for name, place in {TASKS: notebooks / Path(TASKS).name, SUPPORTED: CURVES}.items():
@@ -158,6 +160,16 @@ def store(notebooks, folder, studies):
         rows = collect(folder)
         write_atomically(notebooks / LEDGER, rows)
         _store_ledger(summary(rows), notebooks / "ledger.png")
+
+
+def _renew_readme(readme, answers):
+    """Write the short answers into the table of the README: the last cell of a study's row."""
+    if not readme.is_file():
+        return
+    text = readme.read_text(encoding="utf-8")
+    for stem, (short, _) in answers.items():
+        text = re.sub(rf"(_?\d\d_{stem}\.ipynb\) \| )[^|\n]*( \|)", rf"\g<1>{short}\g<2>", text)
+    write_atomically(readme, text)
 
 
 def code_hash(notebook):
