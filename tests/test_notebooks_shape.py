@@ -70,6 +70,20 @@ def test_one_idea_a_cell_and_a_sentence_for_each_figure(study):
     assert list(faults(nbformat.read(study.path, as_version=4))) == []
 
 
+@pytest.mark.parametrize("study", ALL, ids=lambda study: study.stem)
+def test_a_notebook_is_short_and_shows_no_representation(study):
+    cells, between, words = nbformat.read(study.path, as_version=4).cells, 0, 0
+    for cell in cells[1:]:  # the first says what the notebook is about
+        if cell.cell_type == "markdown" and "lesson" not in cell.metadata.get("tags", []):
+            words += len(cell.source.split())
+            between += len(cell.source.split())
+            assert between <= WORDS, cell.source[:50]
+        between *= cell.cell_type != "code"
+        texts = [out.get("data", {}) for out in cell.get("outputs", [])]
+        assert not any(len(d) == 1 and "<matplotlib" in str(d.get("text/plain")) for d in texts)
+    assert words + len(cells[0].source.split()) <= 1500
+
+
 def test_the_template_has_the_form_and_runs(tmp_path):
     path = notebooks_folder() / "template/NN_template.ipynb"
     template = nbformat.read(path, as_version=4)

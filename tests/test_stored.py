@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 from mmqa_lab.io import write_atomically
+from mmqa_lab.published.ledger import summary
 from mmqa_lab.run import write_record
 from mmqa_lab.run.notebooks import _renew_readme, code_hash, store
 from mmqa_lab.run.speed import machine_speed, stored_seconds
@@ -126,6 +127,11 @@ def test_the_readme_is_short_and_has_the_stored_answers():
         assert len(short.split()) <= 18
         assert not re.search(r"[(\[]", short)
         assert f"{study.notebook}.ipynb) | {short} |" in text
+    counts = summary(pd.read_csv(notebooks_folder() / "ledger.csv", dtype={"printed": str})).loc[
+        "all"
+    ]
+    assert f"print {counts.sum()} results. Ours equal {counts['reproduced']} of" in text
+    assert f"agree with {counts['consistent']} more; {counts['differs']} differ." in text
 
 
 def test_new_answers_come_into_the_readme(tmp_path):

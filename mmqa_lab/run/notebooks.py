@@ -159,16 +159,23 @@ def store(notebooks, folder, studies):
         _store_figure(folder / KEY_FIGURE, notebooks / "key_figure.png", 1000)
         rows = collect(folder)
         write_atomically(notebooks / LEDGER, rows)
-        _store_ledger(summary(rows), notebooks / "ledger.png")
+        counts = summary(rows)
+        _store_ledger(counts, notebooks / "ledger.png")
+        _renew_readme(notebooks.parent / "README.md", {}, counts.loc["all"])
 
 
-def _renew_readme(readme, answers):
-    """Write the short answers into the table of the README: the last cell of a study's row."""
+def _renew_readme(readme, answers, counts=None):
+    """Write short answers into the README's table, the last cell of a row, and the ledger's counts."""
     if not readme.is_file():
         return
     text = readme.read_text(encoding="utf-8")
     for stem, (short, _) in answers.items():
         text = re.sub(rf"(_?\d\d_{stem}\.ipynb\) \| )[^|\n]*( \|)", rf"\g<1>{short}\g<2>", text)
+    if counts is not None:
+        said = f"print {counts.sum()} results. Ours equal {counts['reproduced']} of them to the "
+        said += f"printed digits and agree with {counts['consistent']} more; "
+        said += f"{counts['differs']} differ"
+        text = re.sub(r"print \d+ results\. Ours equal [^;]*; \d+ differ", said, text)
     write_atomically(readme, text)
 
 
