@@ -165,7 +165,7 @@ def store(notebooks, folder, studies):
 
 
 def _renew_readme(readme, answers, counts=None):
-    """Write short answers into the README's table, the last cell of a row, and the ledger's counts."""
+    """Write short answers into the README's table, by the notebooks of its rows, and counts."""
     if not readme.is_file():
         return
     text = readme.read_text(encoding="utf-8")
