@@ -341,13 +341,25 @@ def _footprint(scanner, origin, direction, turn):
     axis = origin[:, None], direction[:, None]
     if not (scanner.exit_diameter_m or scanner.divergence_mrad):
         return axis
-    u, v = across(direction).transpose(1, 0, 2)[:, :, None]
-    angle = 2 * np.pi * (turn[:, None] + np.arange(6) / 6)[..., None]
-    ring = np.cos(angle) * u + np.sin(angle) * v
+    rays = np.empty((2, len(origin), 7, 3))
     growth = RING * np.tan(scanner.divergence_mrad / 2000)
-    starts = axis[0] + RING * scanner.exit_diameter_m / 2 * ring
-    aims = (axis[1] + growth * ring) / np.hypot(1, growth)
-    return np.concatenate([axis[0], starts], 1), np.concatenate([axis[1], aims], 1)
+    sides, radius = across(direction), RING * scanner.exit_diameter_m / 2
+    _spread(origin, direction, sides, 2 * np.pi * turn, radius, growth, *rays)
+    return tuple(rays)
+
+
+@njit(cache=True, nogil=True)
+def _spread(origin, direction, sides, turn, radius, growth, starts, aims):
+    """Fill in starts and aims (n, 7, 3) of the axis and a ring of rays, from its two ``sides``."""
+    starts[:, 0], aims[:, 0] = origin, direction
+    for n in range(len(origin)):
+        for ray in range(6):
+            angle = turn[n] + np.pi / 3 * ray
+            c, s = np.cos(angle), np.sin(angle)
+            for j in range(3):
+                ring = c * sides[n, 0, j] + s * sides[n, 1, j]
+                starts[n, ray + 1, j] = origin[n, j] + radius * ring
+                aims[n, ray + 1, j] = (direction[n, j] + growth * ring) / np.hypot(1.0, growth)
 
 
 def _strongest(hits):
@@ -358,22 +370,46 @@ def _strongest(hits):
     surface and cosine those of its strongest part; it is mixed where they belong to several
     surfaces.
     """
-    order = np.argsort(hits.range_m, axis=1)
-    ranges, surface, cosine, reflectance = (np.take_along_axis(v, order, axis=1) for v in hits)
-    signal = np.nan_to_num(reflectance * cosine / ranges**2)
-    apart = np.diff(ranges, axis=1, prepend=ranges[:, :1]) > 0.6
-    echo = np.cumsum(apart, axis=1)
-    total = np.einsum("njk,nk->nj", echo[:, :, None] == echo[:, None], signal)
-    rows, first = np.arange(len(echo)), np.argmax(total, axis=1)
-    within = (echo == echo[rows, first][:, None]) & (surface >= 0)
-    share = np.where(within, signal, 0.0)
-    top, sums = np.argmax(share, axis=1), share.sum(axis=1)
-    nearest = ranges[rows, first]
-    beyond = (share * np.where(within, ranges - nearest[:, None], 0.0)).sum(axis=1)
+    ranges = np.nan_to_num(hits.range_m, nan=np.inf)
+    signal = np.nan_to_num(hits.reflectance * hits.cosine / hits.range_m**2)
+    (range_m, sums), rows = np.zeros((2, len(ranges))), np.arange(len(ranges))
+    top, mixed = np.zeros(len(ranges), np.int64), np.zeros(len(ranges), np.bool_)
+    _merge(ranges, signal, hits.surface, range_m, sums, top, mixed)
+    cosine = np.minimum(hits.cosine[rows, top], 1)
     return {
-        "range_m": nearest + beyond / np.where(sums > 0, sums, 1.0),
-        "surface": surface[rows, top],
-        "incidence_deg": np.degrees(np.arccos(np.minimum(cosine[rows, top], 1))),
-        "signal": sums / echo.shape[1],
-        "mixed": (within & (surface != surface[rows, top][:, None])).any(axis=1),
+        "range_m": range_m,
+        "surface": hits.surface[rows, top],
+        "incidence_deg": np.degrees(np.arccos(cosine)),
+        "signal": sums / ranges.shape[1],
+        "mixed": mixed,
     }
+
+
+@njit(cache=True, nogil=True)
+def _merge(ranges, signal, surface, range_m, sums, top, mixed):
+    """Fill in range, signal, strongest ray of each pulse's strongest echo, and if it is mixed."""
+    order, end = np.zeros(ranges.shape[1], np.int64), ranges.shape[1]
+    for n in range(len(ranges)):
+        for k in range(end):  # by insertion
+            place = k
+            while place > 0 and ranges[n, order[place - 1]] > ranges[n, k]:
+                order[place] = order[place - 1]
+                place -= 1
+            order[place] = k
+        best, first, last, start, total = -1.0, 0, 0, 0, 0.0
+        for k in range(end):
+            total += signal[n, order[k]]
+            if k + 1 == end or ranges[n, order[k + 1]] - ranges[n, order[k]] > 0.6:
+                if total > best:
+                    best, first, last = total, start, k
+                start, total = k + 1, 0.0
+        nearest, beyond, most, top[n] = ranges[n, order[first]], 0.0, 0.0, order[0]
+        for ray in order[first : last + 1]:
+            if surface[n, ray] >= 0:
+                sums[n] += signal[n, ray]
+                beyond += signal[n, ray] * (ranges[n, ray] - nearest)
+                if signal[n, ray] > most:
+                    most, top[n] = signal[n, ray], ray
+        for ray in order[first : last + 1]:
+            mixed[n] |= surface[n, ray] >= 0 and surface[n, ray] != surface[n, top[n]]
+        range_m[n] = nearest + (beyond / sums[n] if sums[n] > 0 else 0.0)

@@ -250,15 +250,15 @@ def _rosette(case, scene, ends, rng):
     # beams that pass the objects by more than 2.5 m are not cast
     at = from_ + beams * (np.median(ends[:, 0]) / beams[:, :1])
     near = np.abs(at[:, 2]) < 2.5
-    return _cast(case, scene, from_[near], beams[near], rng)
+    return _cast(case, scene, from_[near], beams[near], rng)[:2]
 
 
 def _cast(case, scene, origins, beams, rng):
-    """Points with noise along their beams, and their surfaces."""
+    """Points with noise along their beams, their surfaces, and which beams have one."""
     hits = scene.cast(origins, beams)
     there = np.isfinite(hits.range_m)
     ranges = hits.range_m[there] + case["noise_mm"] / 1000 * rng.standard_normal(there.sum())
-    return origins[there] + ranges[:, None] * beams[there], hits.surface[there]
+    return origins[there] + ranges[:, None] * beams[there], hits.surface[there], there
 
 
 def _matched(case, scene, axes, middles, rng):
@@ -272,17 +272,17 @@ def _matched(case, scene, axes, middles, rng):
             3.2,
         ]
         holes = rng.uniform(-0.5, 0.5, (rng.poisson(4 * wide), 2)) * [wide, 3.2]
-        away = np.linalg.norm(places[:, None] - holes, axis=2) < rng.uniform(0.02, 0.12, len(holes))
-        places = places[~away.any(axis=1)]
+        for hole, radius in zip(holes, rng.uniform(0.02, 0.12, len(holes)), strict=True):
+            places = places[np.hypot(*(places - hole).T) >= radius]
         aims = middle + np.column_stack([places, np.zeros(len(places))]) @ axes[name]
         camera = np.array([0, middle[1], case["height_m"]])
         beams = (aims - camera) / np.linalg.norm(aims - camera, axis=1, keepdims=True)
         waves = rng.standard_normal((2, 20)) / 0.1
         common = np.cos(places @ waves + 2 * np.pi * rng.random(20)).sum(axis=1) / 10**0.5
         half = case | {"noise_mm": 0.6 * case["noise_mm"]}
-        points, hit = _cast(half, scene, np.broadcast_to(camera, beams.shape), beams, rng)
-        hits = np.isfinite(scene.cast(camera, beams).range_m) if len(beams) else np.empty(0, bool)
-        parts.append((points + 0.0008 * case["noise_mm"] * (common[:, None] * beams)[hits], hit))
+        from_ = np.broadcast_to(camera, beams.shape)
+        points, hit, there = _cast(half, scene, from_, beams, rng)
+        parts.append((points + 0.0008 * case["noise_mm"] * (common[:, None] * beams)[there], hit))
     return tuple(np.concatenate(one) for one in zip(*parts, strict=True))
 
 
