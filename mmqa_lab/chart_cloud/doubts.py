@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from mmqa_lab._results import sentences
 from mmqa_lab.planes import checked_plane, sigma_mad
 from mmqa_lab.spacing.directions import FEWEST_POINTS, block_numbers
-from mmqa_lab.spacing.empty import EmptySpace, places_within
+from mmqa_lab.spacing.empty import EmptySpace, from_border, places_within
 from mmqa_lab.spacing.neighbours import tree_of
 
 __all__ = [
@@ -149,7 +149,7 @@ def is_below_step(d1_mm: ArrayLike, step_mm: float) -> np.ndarray:
 
 def _gaps(xy, outline, has_polygon):
     """A remark if a part of the outline is empty beside what the other gaps let expect."""
-    places, border = places_within(outline, most=GAP_PLACES)
+    places = places_within(outline, most=GAP_PLACES)
     away = tree_of(xy).query(places)[0]
     limit = EMPTY_MEDIANS * np.median(away)
     share = np.mean(away > limit)
@@ -157,7 +157,8 @@ def _gaps(xy, outline, has_polygon):
         return ()
     empty = f"{100 * share:.0f} % of the {'polygon' if has_polygon else 'hull of the points'} lies "
     empty += f"more than {1000 * limit:.0f} mm from any point: the density counts it."
-    e95, whole = EmptySpace(places, away, border).e95, np.quantile(away, 0.95)
+    e95 = EmptySpace(places, away, from_border(outline, places)).e95
+    whole = np.quantile(away, 0.95)
     return sentences(
         (True, empty),
         (not has_polygon, "Give a polygon if the surface is smaller than the hull."),

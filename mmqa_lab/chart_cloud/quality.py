@@ -360,7 +360,7 @@ class CloudQuality(Shown):
         density = self.n / self.outline.area if self.outline.area else np.nan
         if np.isnan(density) or self.directional.n < FEWEST_POINTS:
             return density, np.nan, np.nan
-        places = places_within(self.outline)[0]
+        places = places_within(self.outline)
         block = line_parts(np.vstack([self.xy, places]), self.directional)
         # a point counts 1, a place of the grid minus the points expected per place
         expected = np.full(len(places), self.n / len(places))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import shapely
 
-from mmqa_lab.spacing.empty import EmptySpace, places_within
+from mmqa_lab.spacing.empty import EmptySpace, from_border, places_within
 from mmqa_lab.spacing.neighbours import tree_of
 
 __all__ = ["LEAST_NEAR", "LOCAL_M", "MOST_CENTRES", "Pattern", "Unmeasured"]
@@ -67,9 +67,10 @@ class Pattern:
     @cached_property
     def _places(self):
         """Places of the surface, their distances from the outline and from the nearest points."""
-        places, border = places_within(self.outline)
+        places = places_within(self.outline)
         if not len(places):
             raise Unmeasured("the outline has no area")
+        border = from_border(self.outline, places)
         return places, border, self.tree.query(places, [1, 2, 3])[0]
 
     def empty(self, rank: int = 1) -> EmptySpace:

@@ -136,18 +136,24 @@ def empty_space(xy: ArrayLike, *, outline: object = None, rank: int = 1) -> Empt
         outline = shapely.convex_hull(shapely.multipoints(xy))
     elif not isinstance(outline, shapely.Geometry):
         outline = shapely.Polygon(check_points(outline, name="outline", columns=2, minimum=3))
-    places, border = places_within(outline)
-    return EmptySpace(places, tree_of(xy).query(places, [rank])[0][:, 0], border)
+    places = places_within(outline)
+    away = tree_of(xy).query(places, [rank])[0][:, 0]
+    return EmptySpace(places, away, from_border(outline, places))
 
 
 def places_within(outline, most=EMPTY_PLACES):
-    """Places spread evenly over a surface, (m, 2), and their distances from its outline, (m,)."""
+    """Places spread evenly over a surface, (m, 2), m."""
     low, high = np.reshape(outline.bounds, (2, 2))
     count = most * min(100, np.prod(high - low) / max(outline.area, 1e-300))
     places = np.outer(np.arange(count if outline.area else 0), STEPS) % 1 * (high - low)
     moved = shapely.transform(outline, lambda xy: xy - low)
     shapely.prepare(moved)
-    places = places[shapely.contains_xy(moved, *places.T)]
-    sides = shapely.boundary(moved)
+    return places[shapely.contains_xy(moved, *places.T)] + low
+
+
+def from_border(outline, places):
+    """Distances of places (m, 2) from the outline of a surface, (m,), m."""
+    low = outline.bounds[:2]
+    sides = shapely.transform(shapely.boundary(outline), lambda xy: xy - low)
     shapely.prepare(sides)
-    return places + low, shapely.distance(sides, shapely.points(places))
+    return shapely.distance(sides, shapely.points(places - low))
