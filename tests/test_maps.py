@@ -240,9 +240,9 @@ def equal(found, expected, shift=(0.0, 0.0)):
     for axis, off in zip("xy", shift, strict=True):
         np.testing.assert_allclose(found[axis] - off, expected[axis], atol=1e-6)
     for name in maps.FIGURES:
-        limit = 0 if name in ("n", "coincident") else 2e-5
+        limit, share = (0, 0) if name in ("n", "coincident") else (2e-5, 1e-6)
         np.testing.assert_allclose(
-            found[name].values, expected[name].values, atol=limit, rtol=0, err_msg=name
+            found[name].values, expected[name].values, atol=limit, rtol=share, err_msg=name
         )
 
 
