@@ -223,7 +223,7 @@ def test_the_shell_says_what_a_surface_supports():
 def test_density_goes_with_distance_and_turn_as_the_lattice_says():
     case = make_cases(1, seed=5).iloc[0].to_dict() | {"heading_deg": 0.0, "tilt_deg": 0.0}
     found = transfer.predicted(case, 16.0, 0.0)["noise_of_a_mean"]
-    assert found["by distance and turn"] == pytest.approx(2**0.5)
+    assert found["by distance and turn"] == found["by distance"] == pytest.approx(2**0.5)
     assert found["by the lattice"] == pytest.approx(2**0.5, rel=1e-3)
     assert found["the chart's"] == 1.0
     table = pd.DataFrame({"metric": "e95", "prediction": "p", "predicted": [1.0, 2, 4, np.nan]})
@@ -232,22 +232,60 @@ def test_density_goes_with_distance_and_turn_as_the_lattice_says():
     assert told["within_20_percent"] == pytest.approx(2 / 3)
 
 
-def test_real_clouds_have_metrics_and_errors_each(real):
-    from mmqa_lab.studies.fitness.real import ROAD, real_boards, road_squares
+def test_real_clouds_have_metrics_and_errors_each(real, monkeypatch):
+    from mmqa_lab.studies.fitness import real as module
 
+    monkeypatch.setattr(module, "METRICS", {"density": METRICS["density"]})
     real("boards/vlp16_pose02.laz")
-    figures, errors = real_boards()
+    figures, errors = module.real_boards()
     assert len(figures) == len(errors) == 25
-    real(ROAD)
-    figures, errors = road_squares()
+    real(module.ROAD)
+    figures, errors = module.road_squares()
     assert len(figures) == len(errors) > 10
 
 
 def test_thinned_clouds_lose_details(monkeypatch):
     monkeypatch.setattr(real, "SHARES", np.array([1.0, 0.02]))
-    figures, errors = real.thinned_road(1)
+    monkeypatch.setattr(real, "STREETS", {})
+    monkeypatch.setattr(real, "METRICS", {"density": METRICS["density"]})
+    figures, errors = real.thinned(1)["road patch"]
     assert len(figures) == len(errors) >= 6
     assert errors["detail_5_percent"].iloc[0] < errors["detail_5_percent"].max()
+
+
+def test_the_densest_flat_stretch_is_found(rng):
+    road = rng.uniform([0, 0, 0], [9, 4, 0.01], (4000, 3))
+    dense = rng.uniform([5, 2, 0], [8, 3, 0.01], (4000, 3))
+    rough = rng.uniform([1, 1, 0], [4, 2, 0.9], (9000, 3))
+    found = real._densest(np.concatenate([road, dense, rough]) + [100, 200, 5])
+    assert len(found) > 4000
+    assert np.abs(found).max(axis=0) == pytest.approx([1.5, 0.5, 0.01], abs=0.01)
+
+
+def test_a_metric_that_wins_in_every_group_is_named():
+    table = pd.DataFrame(
+        [(task, one, group, score)
+         for task, scores in {"a": (0.9, 0.8, 0.88), "b": (0.7, 0.9, 0.6)}.items()
+         for group in ("x", "y")
+         for one, score in zip(("p", "q", "r"), scores, strict=True)],
+        columns=["task", "method", "scanners", "balanced"],
+    )  # fmt: skip
+    table.loc[(table["task"] == "b") & (table["scanners"] == "y"), "balanced"] = [0.9, 0.7, 0.6]
+    table["behind"] = table.groupby(["task", "scanners"])["balanced"].transform("max")
+    table["behind"] -= table["balanced"]
+    found = study.winners(table, ["x", "y"])
+    assert found["wins all"].to_dict() == {"a": "p", "b": ""}
+    assert found["near the best in all"].to_dict() == {"a": "p, r", "b": ""}
+    assert found.loc["b", ["x", "y"]].tolist() == ["q", "p"]
+
+
+def test_a_chart_reaches_as_far_as_things_agree_with_it():
+    far = np.repeat([4.0, 8.0, 12.0, 20.0], 5)
+    table = pd.DataFrame({"distance_m": far, "metric": "e95", "prediction": "p", "turn_deg": 0.0})
+    table = table.assign(predicted=1.0, realised=np.where(far == 20.0, 1.5, 1.1))
+    found = transfer.reach(table).iloc[0]
+    assert (found["from_m"], found["to_m"]) == (4.0, 12.0)
+    assert np.isnan(transfer.reach(table.assign(realised=2.0)).iloc[0]["to_m"])
 
 
 def test_without_larger_clouds_there_are_no_boards(monkeypatch):

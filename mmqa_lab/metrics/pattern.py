@@ -21,6 +21,9 @@ that follow each other evenly in the order of x."""
 DISC_M = 0.05
 """Radius of the discs in which points are counted, m."""
 
+SLACK = 1e-3
+"""Share of its side by which a cell may leave the outline, which noise of the plane tilts."""
+
 
 class Unmeasured(ValueError):
     """A pattern has no such figure; the message is the reason."""
@@ -111,20 +114,20 @@ class Pattern:
         )
 
     def counts(self, side: float) -> np.ndarray:
-        """Number of points in each square cell that lies within the outline.
+        """Number of points in each square cell that lies within the outline, but for ``SLACK``.
 
         The grid lies in the middle of the outline's box, so that mirrored points have the same.
         """
         xy, outline = self.framed
         high = np.reshape(outline.bounds, (2, 2))[1]
-        size = np.floor(high / side + 1e-6).astype(int)
+        size = np.floor(high / side + SLACK).astype(int)
         corner = (high - size * side) / 2
         cell = np.floor((xy - corner) / side).astype(int)
         inside = ((cell >= 0) & (cell < size)).all(axis=1)
         numbers = np.ravel_multi_index(cell[inside].T, size) if size.all() else []
         counts = np.bincount(numbers, minlength=size.prod())
         x, y = (corner[:, None, None] + side * np.indices(size)).reshape(2, -1)
-        whole = shapely.buffer(outline, 1e-6 * side, join_style="mitre")
+        whole = shapely.buffer(outline, SLACK * side, join_style="mitre")
         shapely.prepare(whole)
         counts = counts[shapely.covers(whole, shapely.box(x, y, x + side, y + side))]
         if not len(counts):

@@ -9,7 +9,8 @@ from mmqa_lab.metrics import METRICS
 from mmqa_lab.spacing import exempt
 from mmqa_lab.studies.fitness.tasks import GOOD
 
-__all__ = ["FEW", "correlations", "halves", "matrix", "measured", "thresholds", "written"]
+__all__ = ["FEW", "by_kind", "correlations", "halves", "matrix", "measured", "thresholds"]
+__all__ += ["winners", "written"]
 
 FEW = 10
 """Fewest fit and unfit clouds with which metrics are judged."""
@@ -146,6 +147,50 @@ def halves(figures, errors, *, good=GOOD, repeats=100, seed=0):
             rows.append((task, name, middle, mean, *ends, len(fit), int(fit.sum())))
     columns = ["task", "method", "limit", "balanced", "low", "high", "behind", "behind_low"]
     return pd.DataFrame(rows, columns=[*columns, "behind_high", "n", "fit"])
+
+
+def by_kind(figures, errors, kinds, groups, **choices):
+    """Return :func:`halves` of groups of acquisitions, with a column ``scanners``.
+
+    ``kinds`` has the kind of each acquisition, ``groups`` the kinds of each group.
+    """
+    parts = []
+    for name, members in groups.items():
+        of = np.isin(kinds, members)
+        parts.append(halves(figures[of], errors[of], **choices).assign(scanners=name))
+    return pd.concat(parts, ignore_index=True)
+
+
+def winners(table, groups, near=0.03):
+    """Return the best metric of each task in each group, and which metrics do for all of them.
+
+    Parameters
+    ----------
+    table : DataFrame
+        From :func:`by_kind`.
+    groups : iterable of str
+        Their order.
+    near : float
+        A metric does if it is less than so much behind the best one in each group.
+
+    Returns
+    -------
+    DataFrame
+        A row a task: a column a group, ``wins all`` and ``near the best in all`` (metrics; empty
+        where a single group judges the task).
+    """
+    table = table.reset_index(drop=True)
+    best = table.loc[table.groupby(["task", "scanners"])["balanced"].idxmax()]
+    wide = best.pivot(index="task", columns="scanners", values="method")
+    wide = wide.reindex(index=table["task"].unique(), columns=groups)
+    several = wide.notna().sum(axis=1) > 1
+    wide["wins all"] = (
+        wide.bfill(axis=1).iloc[:, 0].where(several & (wide.nunique(axis=1) == 1), "")
+    )
+    behind = table.groupby(["task", "method"], sort=False)["behind"].max()
+    close = behind[behind < near].reset_index().groupby("task")["method"].agg(", ".join)
+    wide["near the best in all"] = close.reindex(wide.index).where(several).fillna("")
+    return wide
 
 
 def _is_more(name):

@@ -13,69 +13,122 @@ from mmqa_lab.metrics import METRICS
 from mmqa_lab.planes import fit_plane
 from mmqa_lab.studies.fitness.tasks import relief_errors, shown
 
-__all__ = ["real_boards", "road_squares", "thinned_road"]
+__all__ = ["real_boards", "road_squares", "thinned"]
 
-ROAD, SIDE_M, FEWEST = "road_ground/mls_two_drives.laz", 1.0, 30
-"""A road from two drives, its squares' width, and the fewest points of each drive."""
+ROAD, TWICE_M, FEWEST = "road_ground/mls_two_drives.laz", 0.75, 30
+"""A road from two drives, the width of squares that both saw, and each drive's fewest points."""
+
+SIDE_M = 1.0
+"""Width of a square of a thinned cloud."""
 
 BOARD_M = (0.61, 0.85)
 
+FLAT_M = 0.03
+"""Largest standard deviation of a stretch about its plane."""
+
+RING = np.array([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0]])
+
 SHARES = 0.5 ** np.arange(8)
-"""Shares of the points that are left of the road patch."""
+"""Shares of the points that are left."""
+
+STREETS = {
+    "road, two drives": ROAD,
+    "street, profiles (Oakland)": "oakland/part2_ac.laz",
+    "street, solid state": "public/livox_source.pcd",
+}
+"""Real clouds whose densest stretch is thinned, beside the road patch of the samples."""
 
 PLACES_M = ((-0.5, -0.45), (0.5, 0.45))
 """Middles of two squares of 1 m on the road patch: the chart's and the thing's."""
 
+ALONG_M = ((-1.0, 0.0), (1.0, 0.0))
+"""The same on a stretch of three squares of another cloud."""
 
-def thinned_road(repeats=3, *, seed=0):
+NEAR = 20
+"""Points over which a dense cloud is averaged to the surface from which noise is counted."""
+
+
+def thinned(repeats=2, *, seed=0):
     """Return metrics and errors of thinned real clouds, with what the whole cloud has as the truth.
 
-    The road patch as its two heads saw it, each alone and both together, is thinned by chance, by
-    whole stretches of its order, and with holes of 10 to 40 cm. The chart is one square of 1 m, the
-    thing is another.
+    Clouds are the road patch as its two heads saw it, each alone and both together, and the densest
+    stretches of ``STREETS``. Each is thinned by chance, by whole stretches of its order, and with
+    holes of 10 to 40 cm. The chart is one square of 1 m, the thing is another.
+
+    Returns
+    -------
+    dict
+        Name -> DataFrames of metrics and of errors.
     """
-    charts, errors, rng = [], [], np.random.default_rng(seed)
-    heads = samples.road_patch_heads()
+    heads, found = samples.road_patch_heads(), {}
     heads["both"] = np.concatenate(list(heads.values()))
-    for points in heads.values():
-        plane = fit_plane(points)
-        local = np.column_stack([plane.project(points), plane.residuals])
-        smooth = local[:, 2].copy()
-        near = cKDTree(local[:, :2]).query_ball_point(local[:, :2], 0.05)
-        smooth = np.array([local[one, 2].mean() for one in near])
-        local[:, 2] -= smooth
-        for share in np.repeat(SHARES, repeats):
-            for way in ("chance", "stretches", "holes"):
-                keep = rng.random(len(local)) < share
-                if way == "stretches":
-                    keep = np.repeat(rng.random(-(-len(local) // 40)) < share, 40)[: len(local)]
-                if way == "holes":
-                    middles = rng.uniform(-1, 1, (8, 2))
-                    far = cKDTree(middles).query(local[:, :2])[0] > rng.uniform(0.05, 0.2)
-                    keep &= far
-                left = local[keep]
-                chart, thing = (
-                    left[(np.abs(left[:, :2] - place) < 0.5).all(axis=1)] - [*place, 0]
-                    for place in PLACES_M
-                )
-                if min(len(chart), len(thing)) < 10:
-                    continue
-                ring = np.array([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0]])
-                charts.append(evaluate_cloud(chart, polygon=ring))
-                turn = 2 * np.pi * rng.random()
-                c, s = np.cos(turn), np.sin(turn)
-                uv = thing[:, :2] @ np.array([[c, -s], [s, c]])
-                found = shown(thing[:, :2]) | relief_errors(uv, thing[:, 2], 0.005, [seed])
-                errors.append(found | {"cloud_way": way})
-    return _figures(charts), pd.DataFrame(errors).drop(columns="cloud_way")
+    clouds = {"road patch": [(points, PLACES_M) for points in heads.values()]}
+    for name, file in STREETS.items():
+        if samples.has_real(file):
+            with warnings.catch_warnings(action="ignore", category=UserWarning):
+                cloud = io.read_cloud(samples.real_path(file), columns=())
+            clouds[name] = [(_densest(cloud.points), ALONG_M)]
+    for number, (name, parts) in enumerate(clouds.items()):
+        rng = np.random.default_rng([seed, number])
+        pairs = [pair for one in parts for pair in _thinned(*one, repeats, rng)]
+        charts, errors = zip(*pairs, strict=True)
+        found[name] = _figures(charts), pd.DataFrame(errors)
+    return found
+
+
+def _densest(points):
+    """The points of three squares in a row along x, flat to 3 cm, the sparser end the densest."""
+    points = points - np.floor(points.min(axis=0))
+    cells = pd.DataFrame(np.floor(points[:, :2] / SIDE_M).astype(int))
+    counts = cells.value_counts()
+    other = counts.reindex(counts.index.map(lambda cell: (cell[0] + 2, cell[1])))
+    least = pd.Series(np.minimum(counts, other.to_numpy()), counts.index).dropna()
+    for cell in least.sort_values(ascending=False).index:
+        low = SIDE_M * np.array(cell)
+        inside = ((points[:, :2] >= low) & (points[:, :2] < low + [3 * SIDE_M, SIDE_M])).all(axis=1)
+        patch = points[inside]
+        if fit_plane(patch).std < FLAT_M:
+            return patch - [*(low + [1.5 * SIDE_M, 0.5 * SIDE_M]), patch[:, 2].mean()]
+    raise ValueError("Invalid cloud: no flat stretch of 3 m. Must have one.")
+
+
+def _thinned(points, places, repeats, rng):
+    """Charts and errors of a cloud that is thinned in three ways."""
+    plane = fit_plane(points)
+    local = np.column_stack([plane.project(points), plane.residuals])
+    if places is ALONG_M:
+        local = np.column_stack([points[:, :2], plane.residuals])
+    _, near = cKDTree(local[:, :2]).query(local[:, :2], NEAR)
+    local[:, 2] -= local[near, 2].mean(axis=1)
+    half = np.ptp(local[:, :2], axis=0) / 2
+    for share in np.repeat(SHARES, repeats):
+        for way in ("chance", "stretches", "holes"):
+            keep = rng.random(len(local)) < share
+            if way == "stretches":
+                keep = np.repeat(rng.random(-(-len(local) // 40)) < share, 40)[: len(local)]
+            if way == "holes":
+                middles = rng.uniform(-half, half, (8, 2))
+                keep &= cKDTree(middles).query(local[:, :2])[0] > rng.uniform(0.05, 0.2)
+            left = local[keep]
+            chart, thing = (
+                left[(np.abs(left[:, :2] - place) < 0.5).all(axis=1)] - [*place, 0]
+                for place in places
+            )
+            if min(len(chart), len(thing)) < 10:
+                continue
+            turn = 2 * np.pi * rng.random()
+            c, s = np.cos(turn), np.sin(turn)
+            uv = thing[:, :2] @ np.array([[c, -s], [s, c]])
+            errors = shown(thing[:, :2]) | relief_errors(uv, thing[:, 2], 0.005, [7])
+            yield evaluate_cloud(chart, polygon=RING), errors
 
 
 def road_squares():
     """Return the metrics of squares of a road and how far a second drive lies off, or two Nones.
 
     Metrics are of the first drive; the errors are the differences of the planes of both drives in
-    the middle of the square (``offset_mm``) and of their slopes (``tilt_deg``). Squares do not
-    adjoin: between two of them lies one that is left out.
+    the middle of the square (``offset_mm``) and of their slopes (``tilt_deg``). Squares share
+    neither side nor corner: between two of them lies one that is left out.
     """
     if not samples.has_real(ROAD):
         return None, None
@@ -84,13 +137,16 @@ def road_squares():
     times = np.sort(cloud["gps_time"])
     second = cloud["gps_time"] > times[np.argmax(np.diff(times))]
     points = cloud.points - np.floor(cloud.points.min(axis=0))
-    cells = np.floor(points[:, :2] / SIDE_M).astype(int)
-    table = pd.DataFrame(cells).assign(second=second)
+    table = pd.DataFrame(np.floor(points[:, :2] / TWICE_M).astype(int)).assign(second=second)
+    counts = table.groupby([0, 1])["second"].agg(["size", "sum"])
+    seen = counts[np.minimum(counts["sum"], counts["size"] - counts["sum"]) >= FEWEST]
+    groups = pd.DataFrame(seen.index.to_list(), columns=["a", "b"]).mod(2)
+    odd = groups.value_counts().idxmax()  # of four sets of squares that do not adjoin, the largest
     charts, errors = [], []
     for place, rows in table.groupby([0, 1]).groups.items():
         drives = [points[rows][second[rows] == late] for late in (False, True)]
-        if min(map(len, drives)) >= FEWEST and sum(place) % 2 == 0:
-            middle = SIDE_M * (np.array(place) + 0.5)
+        if place in seen.index and tuple(np.mod(place, 2)) == odd:
+            middle = TWICE_M * (np.array(place) + 0.5)
             off = np.subtract(*(_height_and_slopes(drive, middle) for drive in drives))
             tilt = np.degrees(np.hypot(*off[1:]))
             errors.append({"offset_mm": 1000 * abs(off[0]), "tilt_deg": tilt})

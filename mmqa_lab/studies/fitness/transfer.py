@@ -7,21 +7,34 @@ from scipy.spatial import cKDTree
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.metrics import METRICS
 from mmqa_lab.scan_pattern import ScanSetup, Target, scan_lattice
-from mmqa_lab.studies.fitness.acquisitions import acquisitions, drive
+from mmqa_lab.studies.fitness.acquisitions import KINDS, acquisitions, drive
 
-__all__ = ["CHART_AT", "METRICS_MOVED", "PREDICTIONS", "STREET", "predicted", "street", "summary"]
+__all__ = ["CHART_AT", "FACADES", "METRICS_MOVED", "PREDICTIONS", "STREET", "predicted", "reach"]
+__all__ += ["street", "summary"]
 
 CHART_AT = (8.0, 0.0)
 """Distance of the chart, m, and its turn from the road, degrees."""
 
-STREET = tuple((far, turn) for far in (4.0, 8.0, 12.0, 18.0, 25.0) for turn in (0.0, 30.0, -50.0))
+STREET = tuple(
+    (far, turn) for far in (4.0, 6.0, 8.0, 10.0, 14.0, 20.0) for turn in (0.0, 30.0, -50.0)
+)
 """Distances and turns of the things along the street."""
+
+FACADES = tuple(
+    (far, turn)
+    for far in (8.0, 5.0, 12.0, 6.5, 16.0, 10.0, 20.0, 8.0)
+    for turn in (0.0, 30.0, -50.0)
+)
+"""Distances and turns of the facades on the map, in their order along the street."""
 
 METRICS_MOVED = ("noise_of_a_mean", "e95")
 
-PREDICTIONS = ("the chart's", "by distance and turn", "by the lattice")
-"""Ways of a prediction: the chart's value as it is; density as cos(turn) / distance (of images
-cos(turn) / distance squared); the density of the scan lattice of one head."""
+PREDICTIONS = ("the chart's", "by distance", "by distance and turn", "by the lattice")
+"""Ways of a prediction: the chart's value as it is; density as 1 / distance (of images 1 / distance
+squared); the same times cos(turn); the density of the scan lattice of one head."""
+
+WITHIN = 0.2
+"""A chart speaks for a thing whose metric lies within so much of the prediction."""
 
 
 def predicted(case, far, turn_deg):
@@ -32,8 +45,8 @@ def predicted(case, far, turn_deg):
     """
     near, own = CHART_AT
     power = 2 if case["kind"] == "images" else 1
-    sparser = (far / near) ** power * np.cos(np.radians(own)) / np.cos(np.radians(turn_deg))
-    moved = [1.0, np.sqrt(sparser), np.nan]
+    farther, turned = (far / near) ** power, np.cos(np.radians(own)) / np.cos(np.radians(turn_deg))
+    moved = [1.0, np.sqrt(farther), np.sqrt(farther * turned), np.nan]
     found = {name: dict(zip(PREDICTIONS, moved, strict=True)) for name in METRICS_MOVED}
     if case["kind"] in ("one head", "two drives"):
         setup = ScanSetup(
@@ -60,15 +73,21 @@ def _lattice_e95(lattice):
     return float(np.quantile(cKDTree(corners).query(places @ steps)[0], 0.95))
 
 
-def street(count=1, *, draw=51, seed=3000):
+def street(count=1, *, places=STREET, draw=52, seed=3001, kinds=None):
     """Return metrics of things along streets, predicted from a chart and realised.
+
+    That density goes with distance alone was seen on draw 51, so another one is scored.
 
     Parameters
     ----------
     count : int
-        Acquisitions of each kind; distances and turns are those of ``STREET``.
+        Acquisitions of each kind.
+    places : sequence of (float, float)
+        Distances and turns of the things.
     draw, seed : int
         Of the acquisitions and of the drives.
+    kinds : sequence of str, optional
+        Of the acquisitions; by default all.
 
     Returns
     -------
@@ -77,10 +96,11 @@ def street(count=1, *, draw=51, seed=3000):
         ``predicted`` and ``realised``.
     """
     rows = []
-    for case in acquisitions(count, seed=draw).to_dict("records"):
+    cases = acquisitions(count, seed=draw)
+    for case in cases[cases["kind"].isin(kinds or KINDS)].to_dict("records"):
         rng = np.random.default_rng([seed, case["number"]])
         chart, known = _board(case, *CHART_AT, rng), {}
-        for far, turn in STREET:
+        for far, turn in places:
             thing = _board(case, far, turn, rng)
             factors = predicted(case, far, turn)
             for name in METRICS_MOVED:
@@ -117,5 +137,27 @@ def summary(table, by=("metric", "prediction")):
     found = (
         groups.quantile([0.5, 0.025, 0.975]).unstack().set_axis(["ratio", "low", "high"], axis=1)
     )
-    share = groups.apply(lambda one: ((one > 1 / 1.2) & (one < 1.2)).mean())
+    share = groups.apply(lambda one: (np.abs(np.log(one)) < np.log(1 + WITHIN)).mean())
     return found.assign(within_20_percent=share, n=groups.size()).reset_index()
+
+
+def reach(table, least=0.8):
+    """Return between which distances each prediction speaks for its street, at each turn.
+
+    Returns
+    -------
+    DataFrame
+        ``metric``, ``prediction``, ``turn_deg``, ``from_m`` and ``to_m``: the ends of the distances
+        about the chart's own at which at least the share ``least`` of the things lies within
+        ``WITHIN`` of the prediction; NaN where not even those at its own distance do.
+    """
+    rows = []
+    found = summary(table, ("metric", "prediction", "turn_deg", "distance_m"))
+    for names, part in found.groupby(["metric", "prediction", "turn_deg"], sort=False):
+        part = part.sort_values("distance_m")
+        good, far = part["within_20_percent"].to_numpy() >= least, part["distance_m"].to_numpy()
+        bad = np.concatenate([[0], far[~good], [np.inf]])
+        low, high = bad[bad <= CHART_AT[0]].max(), bad[bad >= CHART_AT[0]].min()
+        same = far[(far > low) & (far < high)]
+        rows.append((*names, *(same[[0, -1]] if len(same) else (np.nan, np.nan))))
+    return pd.DataFrame(rows, columns=["metric", "prediction", "turn_deg", "from_m", "to_m"])
