@@ -277,7 +277,7 @@ FAULTS = (
     ("studies", "1 - 0.025 / max(len(figures.columns) - 1, 1)", "0.975", "test_study_fitness.py"),
     ("studies", "errors.append(found if rank == 3 else", "errors.append(found if rank else",
      "test_study_fitness.py"),
-    ("studies", "np.sqrt(sparser), np.nan]", "sparser, np.nan]", "test_study_fitness.py"),
+    ("studies", "np.sqrt(farther), np.sqrt", "farther, np.sqrt", "test_study_fitness.py"),
     ("metrics", "2 * np.sqrt(chart.pattern.density)", "np.sqrt(chart.pattern.density)",
      "test_metrics.py"),
     ("metrics", "for n in (counts, counts - 1)", "for n in (counts, counts)", "test_metrics.py"),
