@@ -43,12 +43,28 @@ about poles comes late, when the detectors are compiled.
 """
 
 
+LONG = (
+    *("test_studies", "test_study_poles", "test_study_fitness", "test_students", "test_stored"),
+    *("test_notebooks_shape", "test_run", "test_commands", "test_poles", "test_boresight"),
+    *("test_lines_edges", "test_lines_lhd", "test_facades", "test_coverage_of_intervals"),
+    *("test_chart_photographs", "test_chart_image_files", "test_chart_bent", "test_silent_images"),
+    "test_types",
+)
+"""How the names of files begin that ``test --fast`` leaves out."""
+
+
 def share(nodeid):
     """What one process tests in one go: a notebook, a file, or files that belong together."""
     if "test_notebook_runs" in nodeid:
         return nodeid
     file = nodeid.split("::")[0]
     return next((word for word in TOGETHER if word in file), file)
+
+
+def pytest_itemcollected(item):
+    """Mark what takes long."""
+    if item.path.name.startswith(LONG):
+        item.add_marker("long")
 
 
 @pytest.hookimpl(trylast=True)

@@ -339,17 +339,20 @@ def lab(*options: Annotated[str, Parameter(allow_leading_hyphen=True)]):
             continue
 
 
+FAST = ("-m", "not (long or browser)")
 TEST_CORES = ("-n=logical", "--maxprocesses=4")
 
 
 @app.command
-def test(*options: Annotated[str, Parameter(allow_leading_hyphen=True)]):
+def test(*options: Annotated[str, Parameter(allow_leading_hyphen=True)], fast: bool = False):  # noqa: PT028 a command, no test
     """Run the tests: style by ruff, then every test on up to four cores.
 
     Parameters
     ----------
     options
         Options that are passed on to pytest.
+    fast
+        Leave out notebooks, the browser and the files of tests that take longest.
     """
     root = Path(__file__).resolve().parents[2]
     if not (root / "tests").is_dir():
@@ -357,7 +360,7 @@ def test(*options: Annotated[str, Parameter(allow_leading_hyphen=True)]):
     steps = (
         ["ruff", "check", "."],
         ["ruff", "format", "--check", "."],
-        ["pytest", "-q", "-ra", *TEST_CORES, *options],
+        ["pytest", "-q", "-ra", *TEST_CORES, *FAST[: 2 * fast], *options],
     )
     statuses = [subprocess.call([sys.executable, "-m", *step], cwd=root) for step in steps]
     return next((status for status in statuses if status), 0)
