@@ -15,8 +15,8 @@ from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.planes import fit_plane
 from mmqa_lab.spacing import (
     Spacing,
+    _search,
     exempt,
-    neighbours,
     poisson_spacing,
     quadrant_distances,
     quadrants,
@@ -159,7 +159,7 @@ def test_every_pattern_equals_brute_force_bit_for_bit(name, n, seed, radius, cor
     np.testing.assert_array_equal(quadrant_distances(xy, radius=radius), expected)
     few = nearest_by_scipy(xy, radius)  # by scipy
     np.testing.assert_array_equal(few, expected)
-    compiled = neighbours.nearest_per_quadrant(xy, radius, np.ones(len(xy), dtype=bool))
+    compiled = _search.nearest_per_quadrant(xy, radius, np.ones(len(xy), dtype=bool))
     np.testing.assert_array_equal(compiled, expected)
 
 

@@ -383,7 +383,7 @@ def _nearest_per_quadrant(xy, radius, of):
     Both find the same distances, to the last bit.
     """
     if "numba" in sys.modules or len(xy) > FEW_FOR_SCIPY:
-        from mmqa_lab.spacing.neighbours import nearest_per_quadrant
+        from mmqa_lab.spacing._search import nearest_per_quadrant
 
         return nearest_per_quadrant(xy, radius, of)
     places, place = np.unique(xy, axis=0, return_inverse=True)
