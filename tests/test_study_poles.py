@@ -95,8 +95,9 @@ def test_differences_are_those_of_the_same_streets(counted):
     assert study.differences(worse, "fgi")["less"][0] == pytest.approx(rates["value"]["fgi"])
     single = study.differences(counted.isel(seed=[0]), "itc")
     assert single["low"].isna().all()
-    same = counted.assign({name: counted[name].sel(method="fgi") + 0 * counted[name] for name in
-                           ("hits_30", "targets_30", "finds_30")})  # fmt: skip
+    fgi = {"method": "fgi"}
+    alone = counted[["hits_30", "targets_30", "finds_30"]].sel(fgi)
+    same = counted.assign({name: 0 * counted[name] + alone[name] for name in alone})
     assert (study.differences(same, "fgi")[["less", "low", "high"]] == 0).all(axis=None)
 
 
