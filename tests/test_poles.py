@@ -119,11 +119,12 @@ def test_a_turned_and_moved_cloud_has_the_same_finds(street, detected, turn, ste
     assert len(other) == len(found) > 3
     there = (other[["x_m", "y_m"]].to_numpy() - step) @ plan.T
     order = cKDTree(there).query(found[["x_m", "y_m"]])[1]
-    assert there[order] == pytest.approx(found[["x_m", "y_m"]].to_numpy(), abs=1e-4)
+    off = 0.01 if far else 1e-4  # one stray may move the frame by a fraction of a spacing
+    assert there[order] == pytest.approx(found[["x_m", "y_m"]].to_numpy(), abs=off)
     lean = other[["lean_x", "lean_y"]].to_numpy()[order] @ plan.T
-    assert lean == pytest.approx(found[["lean_x", "lean_y"]].to_numpy(), abs=1e-4)
+    assert lean == pytest.approx(found[["lean_x", "lean_y"]].to_numpy(), abs=off)
     same = ["z_base_m", "height_m", "section_m", "score"]
-    assert other[same].to_numpy()[order] == pytest.approx(found[same].to_numpy(), abs=1e-3)
+    assert other[same].to_numpy()[order] == pytest.approx(found[same].to_numpy(), abs=10 * off)
 
 
 @pytest.mark.parametrize(
