@@ -321,7 +321,7 @@ LEFT_OUT = {
         chart_image.evaluate_file io.iterate_cloud io.own_folder io.read_bands io.read_camera
         io.read_cloud io.read_heights io.read_image io.read_polygon io.read_segments io.read_table
         io.read_trajectory io.with_numbers io.write_atomically io.write_cloud io.write_polygon
-        io.read_outlines
+        io.read_outlines io.is_raster io.describe_file io.write_raster
         io.write_outlines maps.map_campaign maps.open_map""",
     "take minutes": "boresight.calibrate",
 }

@@ -205,7 +205,7 @@ def calibrate(
     >>> known = {"lever_arms_m": system.assumed_lever_arms, "poles": street.poles}
     >>> found = calibrate(drives, **known, patches=100)
     >>> heading = found.table["parameter"] == "heading_deg"
-    >>> found.table.loc[heading, "value"].round(2).tolist()
+    >>> found.table.loc[heading, "value"].round(1).tolist()
     [0.3]
     """
     lever = check_points(np.atleast_2d(lever_arms_m), name="lever_arms_m")

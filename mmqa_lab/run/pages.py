@@ -276,8 +276,8 @@ def public_names() -> pd.DataFrame:
     Examples
     --------
     >>> names = public_names()
-    >>> names[names["name"] == "sigma_mad"].values.tolist()[0][:2]
-    ['mmqa_lab.planes', 'sigma_mad']
+    >>> names[names["name"] == "fit_plane"].values.tolist()[0][:2]
+    ['mmqa_lab.planes', 'fit_plane']
     """
     rooms = re.findall(r"^- ``(\w+)``: ", mmqa_lab.__doc__, re.MULTILINE)
     package, rows = TEMPLATES.parents[1], []
