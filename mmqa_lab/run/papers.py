@@ -103,7 +103,10 @@ def _bring(source, results):
     for study, name in quoted_files(source.read_text(encoding="utf-8")):
         fresh, kept = results / study / name, source.parent / RUNS / study / name
         if read_record(fresh.parent).get("failure", "no run") == "" and fresh.is_file():
-            write_atomically(kept, partial(shutil.copyfile, fresh))
+            brought = partial(shutil.copyfile, fresh)
+            if fresh.suffix == ".csv":  # six digits: a paper and its folder stay small
+                brought = pd.read_csv(fresh).to_csv(index=False, float_format="%.6g")
+            write_atomically(kept, brought)
         if not kept.is_file():
             what = f"Invalid paper {source}: {name} of the study {study} is not there. Must be in "
             raise FileNotFoundError(f"{what}{results / study}, as after mmqa studies {study}.")
