@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from rendered import slanted_edge, true_mtf50
 from scipy.ndimage import gaussian_filter
@@ -256,8 +256,10 @@ def test_sharpening_is_said_where_noise_is_strong_and_alone(draw):
 @given(
     seed=st.integers(0, 10**6),
     noise=st.sampled_from([0.0, 0.01]),
-    angle=st.sampled_from([None, 26.565, 40.0, 44.0]),  # at 45 and no noise some have no MTF50
+    angle=st.sampled_from([None, 26.565, 40.0, 45.0]),
 )
+@example(seed=3, noise=0.0, angle=45.0)  # .12 for .28 where noise of none is believed
+@example(seed=627754, noise=0.0, angle=45.0)
 def test_one_straight_edge_is_measured_without_a_remark(seed, noise, angle):
     image, truth = odd_edge("plain", np.random.default_rng(seed), noise=noise, angle_deg=angle)
     found = fit_edge(image)

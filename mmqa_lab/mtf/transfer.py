@@ -41,6 +41,10 @@ COARSE = 0.01
 CORE, KNOT, WIDER = 3.0, 0.5, 1.5
 """Spreads within which knots are dense, their distance in spreads, and its growth farther away."""
 
+PROFILE_ERROR = 0.002
+"""By which profiles err besides noise, over the step. Less is not believed: an edge of 45 degrees
+has few places, and a curve through all of them is free between them."""
+
 LOOSE_NEAR, LOOSE_FAR, TAIL = 0.05, 0.02, 0.2
 """What the curve may add to the sigmoid, standard deviations over the step: near, far, as tail."""
 
@@ -176,8 +180,8 @@ def by_bins(fit):
     turned = np.real(terms * np.conj(terms @ known)) / np.abs(terms @ known) / known[1]
     turned[1] -= 0.5 / known[1]
     by_noise = turned @ inverse @ turned
-    # besides noise, profiles err by .2 %, and by as much as grey values that are rounded alike
-    least = np.hypot(0.002, fit.rounding * fit.rounded_alike) * mtf50
+    # profiles err by as much, too, as grey values that are rounded alike
+    least = np.hypot(PROFILE_ERROR, fit.rounding * fit.rounded_alike) * mtf50
     sigma = float(np.hypot(np.sqrt(max(by_parts, by_noise)) / slope, least))
     if fit.rounding * fit.rounded_alike > COARSE:
         sigma = np.nan
@@ -194,7 +198,7 @@ def _narrow_bins(fit):
     count = np.bincount(cell)
     full = np.flatnonzero(count)
     sums = [np.bincount(cell, one)[full] / count[full] for one in (fit.distance, fit.values)]
-    weight = np.bincount(cell, fit.noise**-2)[full]
+    weight = np.bincount(cell, np.maximum(fit.noise, PROFILE_ERROR) ** -2.0)[full]
     return *sums, weight, full // (place.max() + 1)
 
 
