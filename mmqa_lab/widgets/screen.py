@@ -126,8 +126,6 @@ def explore(
     def drawn(**values):
         """The figure for values of the controls."""
         figure = function(**values)
-        for ax in figure.axes:  # a title has the values, and these may be long
-            ax.title.set_wrap(True)
         plots.finish_figure(figure)
         plt.close(figure)  # the cell shows it; pyplot would show it again
         return figure
