@@ -74,6 +74,29 @@ def test_below_the_line_check_all_is_sealed_and_the_number_is_asked_for():
         exec(done, {"number": ...})
 
 
+def test_what_no_answer_changes_is_worked_out_once_however_many_units_are_tried():
+    cell = """# 1: the slow one
+# asked for: size, a number in m
+size = 2 * slow()
+# check
+right = slow()
+near = right * 0.01
+miss = size - 2 * right
+right = right + 0 * size
+assert abs(miss) < near and right == 3, "too far off"
+"""
+    calls = []
+    scope = {"slow": lambda: calls.append(1) or 3.0, "number": 1}
+    done = student_cell(cell)
+    with pytest.raises(AssertionError, match="1: too far off"):
+        exec(done.replace("size = ...", "size = 5.0"), scope)
+    assert len(calls) == 1
+    with pytest.raises(AssertionError, match=r"1: it is right times 0\.01"):
+        exec(done.replace("size = ...", "size = 600.0"), scope)
+    exec(done.replace("size = ...", "size = 6.0"), scope)
+    assert len(calls) == 3
+
+
 @pytest.mark.parametrize("study", STUDIES, ids=lambda study: study.stem)
 def test_copies_hold_no_answer_and_no_lesson(study, tmp_path):
     (path,) = write_student_notebooks(tmp_path, [study])

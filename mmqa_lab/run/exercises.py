@@ -105,13 +105,15 @@ def check_answer(sealed, scope):
         if isinstance(scope[name], str):
             with contextlib.suppress(ValueError):
                 scope[name] = float(scope[name].replace(",", "."))
+    named = [name for name in answers if name != NUMBER]
+    known, asked = _parts(check, named)
     try:
-        exec(check, dict(scope))
+        exec(known, scope)
+        exec(asked, dict(scope))
     except AssertionError as error:
-        named = [name for name in answers if name != NUMBER]
         usual = f"not right yet. Check the formula, and the unit of {', '.join(named)}."
         for power in (-9, -6, -3, -2, 2, 3, 6, 9):
-            if named and _holds(check, scope, named, 10.0**power):
+            if named and _holds(asked, scope, named, 10.0**power):
                 unit = f"it is right times {10.0**power:g}"
                 raise NotRight(f"{number}: {unit}. Check the unit of {', '.join(named)}.") from None
         raise NotRight(f"{number}: {str(error) or usual}") from None
@@ -119,6 +121,22 @@ def check_answer(sealed, scope):
         kinds = ", ".join(f"{name} is of type {type(scope[name]).__name__}" for name in answers)
         raise NotRight(f"{number}: cannot be checked: {kinds}. Give numbers or arrays.") from None
     print(f"{number}: right.")
+
+
+def _parts(check, names):
+    """Code of a check that is the same for all answers, which may take long, and what is left."""
+    known, asked, theirs, read = [], [], set(names), set()
+    for node in ast.parse(check).body:
+        words = [one for one in ast.walk(node) if isinstance(one, ast.Name)]
+        used = {one.id for one in words if isinstance(one.ctx, ast.Load)}
+        made = {one.id for one in words if isinstance(one.ctx, ast.Store)}
+        made |= {getattr(node, "name", "")}
+        if isinstance(node, ast.Assert) or used & theirs or made & read:
+            theirs, read = theirs | made, read | used
+            asked.append(node)
+        else:
+            known.append(node)
+    return [compile(ast.Module(part, []), "check", "exec") for part in (known, asked)]
 
 
 def _holds(check, scope, names, factor):
