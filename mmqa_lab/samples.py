@@ -5,12 +5,13 @@
 
 import hashlib
 import os
+from io import FileIO
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 
-from mmqa_lab._checks import check_choice
+from mmqa_lab._checks import check_choice, refuse
 from mmqa_lab._data import read_toml, shipped_folder
 
 __all__ = ["PUBLIC", "SAMPLES", "fetch", "has_real", "path", "real_path", "road_patch_heads"]
@@ -23,6 +24,9 @@ REAL_VARIABLE = "MMQA_DATA"
 
 # The environment variable that names the folder of downloaded clouds.
 CACHE_VARIABLE = "MMQA_CACHE"
+
+# GitHub keeps no larger file: for clouds whose size is not known.
+LARGEST_BYTES = 100 * 2**20
 
 _ROWS = read_toml(Path(__file__).with_suffix(".toml"))
 SAMPLES = {row["name"]: SimpleNamespace(**row) for row in _ROWS["samples"]}
@@ -54,29 +58,49 @@ def fetch(name: str) -> Path:
     ValueError
         If no public cloud has that name, or if the host has another file under its address.
     OSError
-        If the host cannot be reached.
+        If the host cannot be reached, or the file cannot be written.
 
     Examples
     --------
     >>> PUBLIC["hdl32e_target"].doi, PUBLIC["hdl32e_target"].licence
     ('10.21105/joss.06948', 'MIT')
     """
-    import pooch
+    from mmqa_lab.io import write_atomically
 
     one = PUBLIC[check_choice(name, "public cloud", PUBLIC)]
     target = _cached(one)
-    if _hash(target, one.hash) == one.hash:
-        return target
-    target.unlink(missing_ok=True)
-    pooch.get_logger().setLevel("WARNING")
-    try:
-        pooch.retrieve(one.url, None, fname=target.name, path=target.parent, progressbar=True)
-    except OSError as error:
-        raise OSError(f"Invalid address {one.url}: no answer. Must be reachable once.") from error
-    if (other := _hash(target, one.hash)) != one.hash:
-        target.unlink()
-        raise ValueError(f"Invalid public cloud {name} with {other}. Must be {one.hash}.")
+    if _hash(target, one.hash) != one.hash:
+        target.unlink(missing_ok=True)
+        write_atomically(target, lambda part: _download(one, part))
     return target
+
+
+class _Limited(FileIO):
+    """A file of a public cloud, which takes no more bytes than that has."""
+
+    one = SimpleNamespace()
+
+    def write(self, part):
+        most = self.one.size or LARGEST_BYTES
+        what, found = f"public cloud {self.one.name}", f"more than {most} bytes at its address"
+        refuse(self.tell() + len(part) > most, what, found, "the published file")
+        return super().write(part)
+
+
+def _download(one, part):
+    """Write the bytes of a public cloud into a file, or raise where they are others."""
+    import pooch
+    import requests
+
+    try:
+        with _Limited(part, "wb") as file:
+            file.one = one
+            pooch.HTTPDownloader(progressbar=True)(one.url, file, None)
+    except requests.RequestException as error:
+        found = "no answer, or one that was cut short"
+        raise OSError(f"Invalid address {one.url}: {found}. Must be reachable once.") from error
+    other = _hash(part, one.hash)
+    refuse(other != one.hash, f"public cloud {one.name}", f"a file with {other}", one.hash)
 
 
 def _cached(one):

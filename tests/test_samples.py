@@ -59,12 +59,25 @@ def host(monkeypatch, tmp_path):
         def __init__(self, *given):
             super().__init__(*given, directory=tmp_path / "served")
 
+        def do_GET(self):
+            """Send a file, or the first part of an answer."""
+            if self.path != "/cut.xyz":
+                super().do_GET()
+                return
+            self.protocol_version = "HTTP/1.1"
+            self.send_response(200)
+            self.send_header("Transfer-Encoding", "chunked")
+            self.end_headers()
+            self.wfile.write(b"5\r\n0 0 0\r\n")
+            self.close_connection = True
+
         def log_message(self, *_):
             """Keep the path alone."""
             asked.append(self.path)
 
     (tmp_path / "served").mkdir()
     server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    server.handle_error = lambda *_: None  # as of an answer that nobody reads to its end
     threading.Thread(target=server.serve_forever, daemon=True).start()
     monkeypatch.setenv(samples.CACHE_VARIABLE, str(tmp_path / "cache"))
     address = f"http://127.0.0.1:{server.server_port}"
@@ -84,6 +97,7 @@ def wall(request, host, monkeypatch):
     one = SimpleNamespace(
         name="wall", url=f"{host.address}/wall.xyz", hash=request.param + known[request.param]
     )
+    one.size = len(content) * (request.param == "sha256:")  # not known of the other
     monkeypatch.setitem(samples.PUBLIC, "wall", one)
     return SimpleNamespace(one=one, content=content)
 
@@ -112,14 +126,32 @@ def test_a_fetched_cloud_is_real_data_without_a_network(host, wall):
 
 def test_another_file_under_the_address_is_refused_and_not_kept(host, wall, tmp_path):
     (host.folder / "wall.xyz").write_bytes(b"another")
-    with pytest.raises(ValueError, match=r"Invalid public cloud wall with (sha256|blob):"):
+    with pytest.raises(ValueError, match=r"Invalid public cloud wall: a file with (sha256|blob):"):
         samples.fetch("wall")
-    assert not [path for path in (tmp_path / "cache").iterdir() if path.is_file()]
+    assert not list((tmp_path / "cache").iterdir())
+
+
+def test_a_download_stops_at_the_stated_size(host, wall, tmp_path, monkeypatch):
+    monkeypatch.setattr(samples, "LARGEST_BYTES", 18)
+    (host.folder / "wall.xyz").write_bytes(bytes(5_000_000))
+    written = []
+    monkeypatch.setattr(samples, "_hash", lambda file, _: written.append(file.exists()) or "")
+    with pytest.raises(ValueError, match=r"^Invalid public cloud wall: more than 18 bytes at"):
+        samples.fetch("wall")
+    assert written == [False]  # there was no whole file whose hash could be asked
+    assert not list((tmp_path / "cache").iterdir())
+
+
+def test_an_answer_that_is_cut_short_is_a_sentence_and_leaves_nothing(host, wall, tmp_path):
+    wall.one.url = f"{host.address}/cut.xyz"
+    with pytest.raises(OSError, match=r"^Invalid address .*: no answer, or one that was cut short"):
+        samples.fetch("wall")
+    assert not list((tmp_path / "cache").iterdir())
 
 
 def test_no_network_is_a_sentence(wall):
     wall.one.url = "http://127.0.0.1:9/wall.xyz"
-    with pytest.raises(OSError, match=r"Invalid address .*: no answer\. Must be reachable once"):
+    with pytest.raises(OSError, match=r"Invalid address .*: no answer.*\. Must be reachable once"):
         samples.fetch("wall")
     with pytest.raises(ValueError, match="public cloud 'walls'"):
         samples.fetch("walls")

@@ -2,7 +2,8 @@
 
 ``python tests/benchmarks/fuzz.py`` makes 3,000 mutants of small files of every form that is read,
 by kind and seed, and counts what becomes of each: read, refused by a sentence, other words, death
-of the process, no answer. ``--count`` and ``--seed`` change how many and which.
+of the process, no answer. ``--count`` and ``--seed`` change how many and which, ``--first`` begins
+in the middle of a long run, and ``--only`` takes the files of some endings.
 """
 
 import argparse
@@ -284,14 +285,18 @@ class Worker:
             self.child.wait()
 
 
-def fuzz(count, seed, keep=None, left_out=()):
+def fuzz(count, seed, keep=None, left_out=(), first=0, only=None):
     """Rows (file, kind, number, outcome) of mutants, drawn over files and kinds."""
     rng, worker = random.Random(seed), Worker()
     with tempfile.TemporaryDirectory() as name:
         sound, folder = Path(name) / "sound", Path(name) / "mutants"
         sound.mkdir()
         folder.mkdir()
-        files = {file: one for file, one in seeds(sound).items() if file.suffix not in left_out}
+        files = {
+            file: one
+            for file, one in seeds(sound).items()
+            if file.suffix not in left_out and (only is None or file.suffix in only)
+        }
         for file in files:
             read = file.with_suffix(".shp") if file.suffix in SHAPE else file
             yield file.name, "sound", -1, worker.outcome(files[file], read)
@@ -299,10 +304,13 @@ def fuzz(count, seed, keep=None, left_out=()):
             file = [*files][number % len(files)]
             kind = KINDS[number // len(files) % len(KINDS)]
             changed = folder / f"{number}_{file.name}"
+            changes = damaged(file.name, file.read_bytes(), kind, rng)
+            if number < first:
+                continue
             beside = SHAPE if file.suffix in SHAPE else ()  # four files are one
             for ending in beside:
                 shutil.copy(file.with_suffix(ending), changed.with_suffix(ending))
-            changed.write_bytes(damaged(file.name, file.read_bytes(), kind, rng))
+            changed.write_bytes(changes)
             read = changed.with_suffix(".shp") if beside else changed
             outcome = worker.outcome(files[file], read)
             for part in (changed, *map(changed.with_suffix, beside)):
@@ -320,13 +328,17 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--count", type=int, default=3000)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--only", nargs="+")
     parser.add_argument("--keep", type=Path)
     parser.add_argument("--worker", action="store_true")
     given = parser.parse_args()
     if given.worker:
         return read_lines()
     counts, bad = collections.defaultdict(collections.Counter), []
-    for name, kind, number, outcome in fuzz(given.count, given.seed, given.keep):
+    for name, kind, number, outcome in fuzz(
+        given.count, given.seed, given.keep, first=given.first, only=given.only
+    ):
         if kind == "sound":
             continue
         counts[name][outcome.split(":")[0].split(" -")[0]] += 1
