@@ -3,7 +3,8 @@
 import numpy as np
 from scipy import ndimage
 
-from mmqa_lab.poles.common import BIN_M, pairs
+from mmqa_lab._compiled import njit
+from mmqa_lab.poles.common import BIN_M, BINS, pairs
 
 __all__ = ["candidates", "circles", "fit_axes"]
 
@@ -20,7 +21,9 @@ SCATTER_M, WIDEST = (0.25, 0.06), 4
 """Scatter about the axis on the widest and on all other scales, m; core of the widest, cells."""
 
 TILE, MARGIN = 200, 12
-"""Cells along the side of a tile, few enough for a processor's cache, and what counts beside it."""
+SIDE = TILE + 2 * MARGIN
+"""Cells along the side of a tile, few enough for a processor's cache, with what counts beside it.
+"""
 
 
 def fit_axes(thin, xy, scatter):
@@ -93,51 +96,63 @@ def candidates(thin):
     points in the core and an empty ring.
     """
     cell = np.floor(thin.points[:, :2] / GRID_M).astype(np.int64)
-    rows = np.unique(np.column_stack([cell, (thin.height / BIN_M).astype(np.int64)]), axis=0)
-    low = rows[:, :2].min(axis=0)
-    tiles = np.unique((rows[:, :2] - low) // TILE, axis=0)
+    low = cell.min(axis=0)
+    x, y = (cell - low).T
+    rows = np.unique((x << 37) + (y << 6) + (thin.height / BIN_M).astype(np.int64))
+    x, y, level = rows >> 37, (rows >> 6) % 2**31, np.uint64(1) << (rows % BINS).astype(np.uint64)
+    tiles = np.unique((x // TILE << 31) + y // TILE)
     found = []
-    for corner in low + tiles * TILE - MARGIN:
-        ends = np.searchsorted(rows[:, 0], corner[0] + [0, TILE + 2 * MARGIN])
-        place = rows[slice(*ends)] - [*corner, 0]
-        x, y, level = place[(place[:, 1] >= 0) & (place[:, 1] < TILE + 2 * MARGIN)].T
-        bits = np.zeros((TILE + 2 * MARGIN,) * 2, np.uint64)
-        np.add.at(bits, (x, y), np.uint64(1) << level.astype(np.uint64))  # unique: sum = union
-        found.append(_tops(bits) + [*corner, 0])
+    for corner in np.column_stack([tiles >> 31, tiles % 2**31]) * TILE - MARGIN:
+        own = slice(*np.searchsorted(x, corner[0] + [0, SIDE]))
+        place = x[own] - corner[0], y[own] - corner[1]
+        inside = (place[1] >= 0) & (place[1] < SIDE)
+        bits = np.zeros((SIDE, SIDE), np.uint64)
+        np.add.at(bits, tuple(p[inside] for p in place), level[own][inside])  # unique: sum = union
+        found.append(_tops(bits) + [*corner + low, 0])
     found = np.unique(np.concatenate(found), axis=0)
     return (found[:, :2] + 0.5) * GRID_M, np.where(found[:, 2], *SCATTER_M)
 
 
-def _spread(bits, half, axis):
-    """Union over the cells up to ``half`` away along an axis."""
-    out, width, wanted = np.moveaxis(bits.copy(), axis, 0), 1, 2 * half + 1
-    while width < wanted:  # windows of twice the width, then of the one that is asked for
-        step = min(width, wanted - width)
-        out[:-step] |= out[step:]
-        width += step
-    return np.roll(np.moveaxis(out, 0, axis), half, axis)
+@njit(cache=True)
+def _clean(bits, core, ring, out):
+    """Number of bins with points in the core and none on the two outermost squares of the ring."""
+    n, edge, none = len(bits), max(core, ring), np.uint64(0)
+    along = np.zeros_like(bits)
+    for k in range(-core, core + 1):
+        for i in range(n):
+            for j in range(core, n - core):
+                along[i, j] |= bits[i, j + k]
+    for i in range(edge, n - edge):
+        for j in range(edge, n - edge):
+            out[i, j], clean = 0, none
+            if bits[i, j] != none or core == WIDEST:  # a wide shaft seen from all sides is hollow
+                for k in range(-core, core + 1):
+                    clean |= along[i + k, j]
+            for half in range(max(ring - 1, 1), ring + 1):
+                for k in range(-half, half + 1):
+                    if clean == none:
+                        break
+                    side = bits[i + k, j - half] | bits[i + k, j + half]
+                    clean &= ~(side | bits[i - half, j + k] | bits[i + half, j + k])
+            while clean != none:
+                clean &= clean - np.uint64(1)
+                out[i, j] += 1
 
 
 def _tops(bits):
     """Local maxima of clean bins in a tile: row, column, and 1 on the widest scale, else 0."""
     held = np.bitwise_count(bits).astype(np.float32)
     found = np.zeros((*bits.shape, 2), bool)
+    value = np.zeros_like(held)
     for core, ring in SCALES:
-        clean = _spread(_spread(bits, core, 0), core, 1)
-        for half in (ring - 1, ring) if ring else ():
-            for axis in (0, 1):
-                side = _spread(bits, half, axis)
-                clean &= ~(np.roll(side, half, 1 - axis) | np.roll(side, -half, 1 - axis))
-        value = np.bitwise_count(clean).astype(np.float32)
-        if core == WIDEST:  # a wide shaft seen from all sides is hollow
-            more, inside = 80 * ndimage.gaussian_filter(held, 3.5, truncate=2.0), True
+        _clean(bits, core, ring, value)
+        if core == WIDEST:
+            more = 80 * ndimage.gaussian_filter(held, 3.5, truncate=2.0)
         else:
             box = 2 * core + 1
-            more, inside = 4 * held + ndimage.uniform_filter(held, box) * box**2, bits > 0
-        value = np.where((value >= 3) & inside, value + more / (more + 50), 0)
+            more = 4 * held + ndimage.uniform_filter(held, box) * box**2
+        tall = np.where(value >= 3, value + more / (more + 50), 0)
         size = 2 * max(core + 1, 3) + 1
-        found[..., int(core == WIDEST)] |= (value > 0) & (
-            value == ndimage.maximum_filter(value, size)
-        )
+        found[..., int(core == WIDEST)] |= (tall > 0) & (tall == ndimage.maximum_filter(tall, size))
     found[:MARGIN] = found[-MARGIN:] = found[:, :MARGIN] = found[:, -MARGIN:] = False
     return np.argwhere(found)

@@ -18,7 +18,7 @@ from mmqa_lab.cloud import group_axes, sort_into_cells
 
 __all__ = [
     "Thin", "around", "drop_duplicates", "first_reason", "ground", "joined", "lowest", "pairs",
-    "table", "thinned",
+    "rows_near", "stripes", "table", "thinned",
 ]  # fmt: skip
 
 
@@ -135,6 +135,18 @@ def pairs(xy, points, reach):
     >>> pairs(np.zeros((1, 2)), np.array([[0.3, 0.0], [0.6, 0.0]]), 0.5)
     (array([0]), array([0]))
     """
+    order, *places = rows_near(xy, points, reach)
+    a, b = np.empty((2, _near(*places, reach**2, *np.empty((2, 0), np.int64))), np.int64)
+    _near(*places, reach**2, a, b)
+    return a, order[b]
+
+
+def rows_near(xy, points, reach):
+    """Return an order of points (n, 2 or 3), their plan so, the places (k, 2), and ends of rows.
+
+    The points nearer than ``reach`` to place k are from ``first[row]`` to ``last[row]`` in that
+    order, for the rows 3 k, 3 k + 1 and 3 k + 2; others are among them.
+    """
     cell, other = (np.floor(part[:, :2] / reach).astype(np.int64) for part in (xy, points))
     wide = 2**31  # more than any number of cells along x
     key = other[:, 1] * wide + other[:, 0]
@@ -142,10 +154,7 @@ def pairs(xy, points, reach):
     key = key[order]
     rows = cell[:, 1, None] * wide + cell[:, :1] + wide * np.array([-1, 0, 1])
     first, last = (np.searchsorted(key, (rows + end).ravel()) for end in (-1, 2))
-    places = points[:, :2][order], xy, first, last, reach**2
-    a, b = np.empty((2, _near(*places, *np.empty((2, 0), np.int64))), np.int64)
-    _near(*places, a, b)
-    return a, order[b]
+    return order, points[:, :2][order], xy, first, last
 
 
 @njit(cache=True)
@@ -251,6 +260,30 @@ def thinned(points, height_of, place=PLACES[0]):
     cells = np.column_stack([centres[:, :2], height * (COARSE_M / 0.5)])
     coarse = (sort_into_cells(cells, COARSE_M)[2] + 0.5) * [COARSE_M, COARSE_M, 0.5]
     return Thin(centres, height, coarse)
+
+
+STRIPE, BESIDE_M = 2000, 6.0
+"""Places of a stripe, few enough for a processor's cache, and how far the cloud beside it goes."""
+
+
+def stripes(thin, xy):
+    """Yield the rows of some places (k, 2), from south to north, and the ``Thin`` beside them.
+
+    Examples
+    --------
+    >>> line = np.arange(90.0)[:, None] * [0, 1, 0]
+    >>> [(rows, part), *_] = stripes(Thin(line, line[:, 2], line), np.zeros((1, 2)))
+    >>> rows.tolist(), len(part.points)
+    ([0], 7)
+    """
+    north = xy[:, 1].argsort(kind="stable")
+    orders = [part[:, 1].argsort(kind="stable") for part in (thin.points, thin.coarse)]
+    points, height, coarse = *(part[orders[0]] for part in thin[:2]), thin.coarse[orders[1]]
+    for first in range(0, len(xy), STRIPE):
+        rows = north[first : first + STRIPE]
+        ends = xy[rows[[0, -1]], 1] + [-BESIDE_M, BESIDE_M]
+        near, wide = (slice(*part[:, 1].searchsorted(ends)) for part in (points, coarse))
+        yield rows, Thin(points[near], height[near], coarse[wide])
 
 
 PLOT_M, TABLE = 1.5, 2**20

@@ -26,6 +26,7 @@ from mmqa_lab.poles.common import (
     first_reason,
     ground,
     lowest,
+    stripes,
     table,
     thinned,
 )
@@ -119,8 +120,14 @@ def describe(points, frame=None):
     height_of = ground(np.concatenate([lowest(part) for part in parts()]))
     above = np.concatenate([over_ground(part) for part in parts()])
     thin = thinned(above, height_of)
-    axes = fit_axes(thin, *candidates(thin)) if len(above) else np.empty((0, 5))
-    return Described(axes, *measure(thin, axes), height_of, above)
+    xy, scatter = candidates(thin) if len(above) else np.empty((2, 0, 2))
+    found = [measure(thin, np.empty((0, 5)))]
+    for rows, part in stripes(thin, xy):
+        found.append(measure(part, fit_axes(part, xy[rows], scatter[rows])))
+    axes, measures, shafts = zip(*found, strict=True)
+    shaft = {name: np.concatenate([one[name] for one in shafts]) for name in shafts[0]}
+    measures = pd.concat(measures[len(measures) > 1 :], ignore_index=True)
+    return Described(np.concatenate(axes), measures, shaft, height_of, above)
 
 
 PART, MOST_ASKED, LEVEL_M, BELOW_M = 1_000_000, 50_000, 0.0161803, 0.00037
@@ -162,8 +169,9 @@ def detect(points, *, threshold=THRESHOLD, trees=None, explain=False):
     doubtful = score > DOUBT
     near, before = around(found.above, axes[doubtful]), found.measures[doubtful]
     for place in PLACES[1:]:
-        again = measure(thinned(near, height_of, place), axes[doubtful], before)[0]
-        score[doubtful] += trees.score(again)
+        for rows, part in stripes(thinned(near, height_of, place), axes[doubtful]):
+            again = measure(part, axes[doubtful][rows], before.iloc[rows])[1]
+            score[np.flatnonzero(doubtful)[rows]] += trees.score(again)
     score[doubtful] /= len(PLACES)
     low, high = found.shaft["low"], found.shaft["high"]
     short = found.measures["column_m"].to_numpy() < LENGTH_M

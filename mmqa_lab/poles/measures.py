@@ -5,8 +5,9 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
+from mmqa_lab._compiled import njit
 from mmqa_lab.poles.axes import circles
-from mmqa_lab.poles.common import BIN_M, BINS, around, pairs
+from mmqa_lab.poles.common import BIN_M, BINS, around, pairs, rows_near
 
 __all__ = ["MEASURES", "longest_runs", "measure", "sections"]
 
@@ -98,13 +99,13 @@ class Near(NamedTuple):
 
 
 def measure(thin, axes, before=None):
-    """Return the ``MEASURES`` of axes (k, 5) as a DataFrame, and the extent of each shaft.
+    """Return axes (k, 5), their ``MEASURES`` as a DataFrame, and the extent of each shaft.
 
     What stands around is taken from those ``before`` of the same axes, where they are given.
 
     Returns
     -------
-    DataFrame, dict of array
+    array, DataFrame, dict of array
         The shaft: ``low``, ``high`` (k,) of the run above ground, ``centre`` (k, 2) of the circle
         beside the axis, metres.
     """
@@ -126,7 +127,7 @@ def measure(thin, axes, before=None):
     found = runs | around_run | rounds
     found |= _wide(thin.coarse, axes) if before is None else dict(before.filter(like="around_"))
     shaft = {"low": low, "high": high, "centre": centre}
-    return pd.DataFrame(found)[list(MEASURES)].round(4), shaft
+    return axes, pd.DataFrame(found)[list(MEASURES)].round(4), shaft
 
 
 def _filled(counts, first, last):
@@ -184,13 +185,24 @@ def _shape(own, run, rise):
 
 def _wide(coarse, axes):
     """Measures of what stands 1 to 4 m away: shares of directions in four bands of height."""
-    a, b = pairs(axes[:, :2], coarse, WIDE_M)
-    off = coarse[b, :2] - axes[a, :2]
-    away = np.hypot(*off.T) > 1.0
-    band = np.searchsorted(BANDS_M, coarse[b[away], 2], side="right")
-    shares = _arcs(a[away] * (len(BANDS_M) + 1) + band, off[away], len(axes) * (len(BANDS_M) + 1))
+    order, *places = rows_near(axes[:, :2], coarse, WIDE_M)
+    band = np.searchsorted(BANDS_M, coarse[order, 2], side="right")
+    seen = np.zeros((len(axes), len(BANDS_M) + 1, ARCS), bool)
+    _look_around(*places, band, seen)
     names = [f"around_{name}" for name in ("low", "mid", "high", "top")]
-    return dict(zip(names, shares.reshape(len(axes), len(names)).T, strict=True))
+    return dict(zip(names, seen.mean(axis=2).T, strict=True))
+
+
+@njit(cache=True)
+def _look_around(points, xy, first, last, band, seen):
+    """Mark the directions in which each place has points of each band, 1 to 4 m away."""
+    for row in range(len(first)):
+        x, y = xy[row // 3]
+        for k in range(first[row], last[row]):
+            u, v = points[k, 0] - x, points[k, 1] - y
+            if 1.0 < u * u + v * v < WIDE_M**2:
+                arc = int((np.arctan2(v, u) / (2 * np.pi) % 1) * ARCS) % ARCS
+                seen[row // 3, band[k], arc] = True
 
 
 def _head(a, across, height, k):
