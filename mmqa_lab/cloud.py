@@ -163,14 +163,16 @@ def describe(cloud: Cloud) -> dict:
     >>> found["columns"], int(found["time_span_s"])
     ('head (2), gps_time (2)', 4)
     """
+    import pandas as pd
+
     ends = extent(cloud.points if len(cloud) else np.full((1, 3), np.nan))
     units, counts = dict.fromkeys("xyz", "m"), {}
     for axis in () if cloud.crs is None else cloud.crs.axis_info:
         if axis.unit_conversion_factor != 1:
             units |= dict.fromkeys("z" if axis.direction == "up" else "xy", axis.unit_name)
     for name, values in cloud.columns.items():
-        counts[name] = len(np.unique(values)) if values.ndim == 1 else values.shape[1]
-    doubts = unit_remarks(cloud, crs=cloud.crs)
+        counts[name] = len(pd.unique(values)) if values.ndim == 1 else values.shape[1]
+    doubts = unit_remarks(cloud.points, crs=cloud.crs)
     if LIKE_DEGREES in doubts:  # in metres their digits would end a hundred metres apart
         units |= dict.fromkeys("xy", "degree?")
     remarks = ["No coordinate system: taken for metres."] if cloud.crs is None else []

@@ -46,3 +46,11 @@ def test_bins_of_the_histogram_are_multiples_of_the_step(rng):
     counts = y[(np.abs(x) < 4) & (y > 0)]
     assert counts.min() > 0.3 * counts.max()  # no comb
     plt.close(figure)
+
+
+@pytest.mark.parametrize("noise", [0, 0.005])
+def test_a_polygon_across_its_surface_is_refused(rng, noise):
+    wall = rng.random((400, 3)) * [1, 0, 1] + noise * rng.standard_normal((400, 3))
+    level = [[-0.5, -2, 0.5], [1.5, -2, 0.5], [1.5, 2, 0.5], [-0.5, 2, 0.5]]
+    with pytest.raises(ValueError, match=r"Invalid polygon: (89|90) degrees to the surface"):
+        evaluate_cloud(wall, polygon=level, thickness=5)

@@ -72,3 +72,9 @@ def test_pairs_of_indices_give_coordinates_as_of_an_array():
     cloud = Cloud(np.arange(12.0).reshape(4, 3), {"ring": [1, 2, 3, 4]})
     assert np.array_equal(cloud[:, :2], cloud.points[:, :2])
     assert cloud[1, 2] == 5
+
+
+def test_columns_of_texts_and_numbers_that_lack_some_are_counted():
+    texts = np.array(["wall", np.nan, "roof"], dtype=object)
+    cloud = Cloud(np.zeros((3, 3)), {"label": texts, "ring": [1.0, np.nan, np.nan]})
+    assert describe(cloud)["columns"] == "label (3), ring (2)"

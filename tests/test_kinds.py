@@ -491,6 +491,8 @@ def lacking(case):
     yield "masked", hidden
     yield "nothing", data[:0]
     yield "one", data[:1]
+    if case.is_a == "space" and "array" not in case.kinds:
+        yield "feet", Cloud(data, crs=pyproj.CRS("EPSG:2263"))
     yield "no dimension", data.reshape(-1)[0]
     yield "texts", data.astype(str)
     yield "complex", data.astype(complex)
@@ -505,7 +507,16 @@ def of_cloud(points):
     return Cloud(points, columns)
 
 
-MUST_BE_SAID = ("NaN", "inf", "None", "masked", "texts", "complex", "rows of unlike lengths")
+MUST_BE_SAID = (
+    "NaN",
+    "inf",
+    "None",
+    "masked",
+    "texts",
+    "complex",
+    "feet",
+    "rows of unlike lengths",
+)
 
 
 def told(name, kinds, found, said):

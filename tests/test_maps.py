@@ -181,8 +181,8 @@ def test_maps_are_written_as_netcdf_and_geotiff(tmp_path):
         assert int(written["n"].sum()) == 6000
     with pytest.raises(ValueError, match="no coordinate system"):
         maps.write_map(tmp_path / "map.tif", dataset)
-    placed = maps.placed(dataset, "EPSG:25832")
-    maps.write_map(tmp_path / "map.tif", placed)
+    placed = maps.map_cloud(Cloud(street(), crs=pyproj.CRS("EPSG:25832")))
+    maps.write_map(tmp_path / "map.tif", placed.sortby("y", ascending=False))
     with rasterio.open(tmp_path / "map.tif") as raster:
         assert raster.crs.to_epsg() == 25832
         assert raster.descriptions == tuple(dataset)

@@ -111,15 +111,16 @@ def _by_names(table, columns, name):
 def check_points(points, *, name="points", columns=3, minimum=1):
     """Return ``points`` as finite float64 of shape ``(n, columns)`` with ``n >= minimum``.
 
-    ``columns`` None: of two or three. Takes an array or whatever has ``__array__``, a Cloud
-    among others; of a DataFrame the columns that are named x, y and z, in whichever order.
+    ``columns`` None: of two or three. Takes an array or whatever has ``__array__``, a Cloud in
+    metres among others; of a DataFrame the columns that are named x, y and z, in whichever order.
 
     Raises
     ------
     TypeError
         If the values are not real numbers.
     ValueError
-        If the shape is wrong, points are too few or a coordinate is not finite.
+        If the shape is wrong, points are too few, a coordinate is not finite, or the points have
+        a coordinate reference system that is not in metres.
 
     Examples
     --------
@@ -129,6 +130,7 @@ def check_points(points, *, name="points", columns=3, minimum=1):
     Traceback (most recent call last):
     ValueError: Invalid points of shape (1, 2). Must have shape (n, 3).
     """
+    check_same_crs(name, getattr(points, "crs", None), "", None)
     if hasattr(points, "iloc") and hasattr(points, "columns"):
         points = _by_names(points, columns, name)
     values = real_array(points, name, kinds="fiub")
@@ -153,6 +155,7 @@ def check_plan(points, *, name="points", minimum=1):
     >>> check_plan([[1, 2, 3]]).tolist()
     [[1.0, 2.0]]
     """
+    check_same_crs(name, getattr(points, "crs", None), "", None)
     if hasattr(points, "iloc") and hasattr(points, "columns"):
         points = _by_names(points, 2, name)
     points = real_array(points, name, kinds="fiub")

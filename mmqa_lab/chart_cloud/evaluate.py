@@ -11,7 +11,7 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_points, check_polygon, check_positive, polygon_rings
+from mmqa_lab._checks import check_points, check_polygon, check_positive, polygon_rings, refuse
 from mmqa_lab.chart_cloud.doubts import remarks_on_points, remarks_on_surface
 from mmqa_lab.chart_cloud.quality import CloudQuality
 from mmqa_lab.planes import CONSISTENT_SCALE, checked_plane, sigma_mad
@@ -25,6 +25,9 @@ __all__ = [
 
 UPRIGHT_COSINE = 0.7
 """A surface is upright if the cosine of its slope is smaller. Its default axes are horizontal."""
+
+LEAST_ALONG = 0.5
+"""A polygon is not projected onto a plane that it is turned to by more: the cosine of the angle."""
 
 CHART_MARGINS_M = (0.29, 0.094, 0.094, 0.094)
 """Lower, right, upper and left margins. They leave half a square metre of the random pattern of a
@@ -274,6 +277,9 @@ def selected(points, polygon, thickness):
 
 def outline_on(vertices, plane, normal):
     """A polygon projected onto a plane along a direction, in plane coordinates."""
+    along = abs(normal @ plane.normal)
+    turn = f"{np.degrees(np.arccos(min(along, 1))):.0f} degrees to the surface of its points"
+    refuse(along < LEAST_ALONG, "polygon", turn, "along it, or 60 degrees off at most")
     reach = plane.distances(vertices) / (normal @ plane.normal)
     flat = plane.project(vertices - reach[:, None] * normal)
     rings = [flat[rows] for rows in polygon_rings(vertices)]

@@ -126,7 +126,8 @@ def map_cloud(
     table = evaluated_cells(points, index, inner, cell, radius, functions)
     remarks = unit_remarks(points, crs=crs)
     about = {"cell": cell, "radius": radius, "step": step, "remarks": remarks}
-    return dataset_of(table, about | {"metrics": list(functions)})
+    found = dataset_of(table, about | {"metrics": list(functions)})
+    return found if crs is None else placed(found, crs)
 
 
 def chosen_metrics(metrics):
@@ -313,7 +314,7 @@ def write_map(path: str | os.PathLike, dataset: xr.Dataset) -> None:
         If the ending is neither of these, if another kind of file is there, or if a GeoTIFF would
         lack a coordinate system.
     """
-    path = Path(path)
+    path, dataset = Path(path), dataset.sortby(["y", "x"])
     if check_choice(path.suffix.lower(), f"map {path} with ending", ENDINGS) == ".nc":
         write_atomically(path, lambda file: dataset.to_netcdf(file, engine="scipy"))
         return

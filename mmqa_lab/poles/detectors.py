@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_choice, check_positive, check_same_crs
+from mmqa_lab._checks import check_choice, check_points, check_positive
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.poles import fgi, itc, learned
 
@@ -89,7 +89,7 @@ def detect(
     if "threshold" in choices:
         check_positive(choices["threshold"], "threshold")
     cloud = points if isinstance(points, Cloud) else Cloud(points)
-    check_same_crs("cloud", cloud.crs, "cloud", None)
+    check_points(cloud, minimum=0, name="cloud")
     origin = np.floor(cloud.points.min(axis=0)) if len(cloud) else np.zeros(3)
     if method == "learned":
         given, origin = (cloud.points,), 0.0

@@ -2,18 +2,11 @@
 
 ``python tests/benchmarks/mutations.py`` works on a copy of the repository. It lists what was
 caught, what was not, and faults whose text no longer stands in the room. With names of rooms only
-theirs.
-
-``--random 200`` draws single changes over all rooms instead: a comparison, an operator, a number,
-and / or. Plots, messages, checks, defaults and constants of layouts are left out. Each is tested by
-the test files of its room and the examples of its file; what passes is listed, for people to judge.
+theirs. ``random_changes.py`` draws changes instead.
 """
 
 import argparse
-import ast
-import copy
 import os
-import random
 import shutil
 import subprocess
 import sys
@@ -350,82 +343,6 @@ FAULTS = (
 )  # fmt: skip
 
 
-# Rooms and functions that draw or speak, and what is called to refuse, to warn or to say.
-DRAWN = ("plots", "views", "widgets", "commands", "run", "samples", "_checks", "published")
-SPOKEN_BY = {"refuse", "warn", "sentences", "ValueError", "TypeError", "OSError", "print", "round"}
-COMPARED = {ast.Lt: ast.GtE, ast.LtE: ast.Gt, ast.Gt: ast.LtE, ast.GtE: ast.Lt}
-COMPARED |= {ast.Eq: ast.NotEq, ast.NotEq: ast.Eq}
-COUNTED = {ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult}
-JOINED = {ast.And: ast.Or, ast.Or: ast.And}
-
-
-def changes(path):
-    """The single changes of a file: node, and the text that takes its place."""
-    text = path.read_text("utf-8")
-    for node in _working(ast.parse(text)):
-        new = copy.deepcopy(node)
-        if isinstance(node, ast.Compare) and type(node.ops[0]) in COMPARED:
-            new.ops[0] = COMPARED[type(node.ops[0])]()
-        elif isinstance(node, ast.BinOp) and type(node.op) in COUNTED:
-            new.op = COUNTED[type(node.op)]()
-        elif isinstance(node, ast.BoolOp):
-            new.op = JOINED[type(node.op)]()
-        elif isinstance(node, ast.Constant) and type(node.value) in (int, float):
-            new.value = node.value * 2 if node.value not in (0, 1) else 1 - node.value
-        else:
-            continue
-        yield node, f"({ast.unparse(new)})"
-
-
-def _working(node):
-    """The nodes of a module's functions that calculate."""
-    for child in ast.iter_child_nodes(node):
-        name = getattr(getattr(child, "func", None), "id", getattr(child, "name", ""))
-        name = name or getattr(getattr(child, "func", None), "attr", "")
-        left_out = ast.Raise | ast.JoinedStr | ast.arguments | ast.Import | ast.ImportFrom
-        spoken = isinstance(child, left_out) or name in SPOKEN_BY or "plot" in str(name)
-        top = isinstance(node, ast.Module) and not isinstance(child, ast.FunctionDef | ast.ClassDef)
-        if not spoken and not top and not str(name).startswith("check_"):
-            yield child
-            yield from _working(child)
-
-
-def tests_of(path, tree):
-    """The test files of a file's room, as far as they have its name."""
-    parts = path.relative_to(tree / "mmqa_lab").with_suffix("").parts
-    words = (
-        [f"study_{parts[-1]}"] if parts[0] == "studies" else [f"{parts[0]}_{parts[-1]}", parts[0]]
-    )
-    for word in words:
-        found = sorted(one.name for one in (tree / "tests").glob(f"test_{word.strip('_')}*.py"))
-        if found:
-            return " ".join(found)
-    return {"plane_search": "test_lines_edges.py"}.get(parts[0], "")
-
-
-def at_random(count, seed, tree):
-    """Draw changes over all rooms and count which are caught."""
-    copied(tree)
-    rng, caught, seen = random.Random(seed), 0, 0
-    files = [one for one in sorted((tree / "mmqa_lab").rglob("*.py")) if tests_of(one, tree)]
-    files = [one for one in files if one.relative_to(tree / "mmqa_lab").parts[0] not in DRAWN]
-    drawn = [(path, *change) for path in files for change in changes(path)]
-    for path, node, new in rng.sample(drawn, min(count, len(drawn))):
-        text, name = path.read_text("utf-8"), path.relative_to(tree)
-        lines = text.encode().splitlines(keepends=True)
-        before = sum(map(len, lines[: node.lineno - 1])) + node.col_offset
-        after = sum(map(len, lines[: node.end_lineno - 1])) + node.end_col_offset
-        old = text.encode()[before:after]
-        path.write_bytes(text.encode()[:before] + new.encode() + text.encode()[after:])
-        found = fails(tree, tests_of(path, tree), path)
-        path.write_text(text, "utf-8")
-        caught, seen = caught + found, seen + 1
-        word = "caught" if found else "NOT CAUGHT"
-        print(f"{word:10}  {name}:{node.lineno} {old.decode()} -> {new}")
-        print(f"{caught} of {seen} caught", flush=True)
-    return int(caught < 0.85 * seen)
-
-
 def copied(tree):
     """Copy what the tests need into a folder."""
     for part in ("mmqa_lab", "tests", "data_samples", "notebooks"):
@@ -474,10 +391,6 @@ def fails(tree, tests, path):
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("rooms", nargs="*")
-    parser.add_argument("--random", type=int, default=0)
-    parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        if given.random:
-            sys.exit(at_random(given.random, given.seed, Path(folder)))
         sys.exit(main(given.rooms, Path(folder)))
