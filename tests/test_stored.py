@@ -13,8 +13,7 @@ from PIL import Image
 from mmqa_lab.io import write_atomically
 from mmqa_lab.published.ledger import summary
 from mmqa_lab.run import write_record
-from mmqa_lab.run.notebooks import _renew_readme, code_hash, store
-from mmqa_lab.run.speed import machine_speed, stored_seconds
+from mmqa_lab.run.notebooks import _renew_readme, code_hash, machine_speed, store, stored_seconds
 from mmqa_lab.studies import STUDIES, TOOLS, notebooks_folder
 
 LARGEST_BYTES = 1_000_000

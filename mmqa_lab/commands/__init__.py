@@ -7,11 +7,10 @@ arguments, its docstring its help. Rooms are imported inside the commands, so th
 """
 
 from mmqa_lab.commands import laboratory
-from mmqa_lab.commands.accuracy import accuracy, calibrate
+from mmqa_lab.commands.acceptance import accuracy, calibrate, plan, tender
 from mmqa_lab.commands.clouds import evaluate, info, lhd, map_, pattern, poles
 from mmqa_lab.commands.images import chart, image, radiometry
 from mmqa_lab.commands.machine import run
-from mmqa_lab.commands.tenders import plan, tender
 
 __all__ = [
     "accuracy", "calibrate", "chart", "evaluate", "image", "info", "laboratory", "lhd", "map_",

@@ -155,7 +155,7 @@ def studies(
         ledger, the glossary and the public names.
     """
     from mmqa_lab.io import own_folder
-    from mmqa_lab.run import notebooks, pages, speed, verdict
+    from mmqa_lab.run import notebooks, pages, verdict
     from mmqa_lab.studies import STUDIES, TOOLS, chosen, notebooks_folder, results_folder
 
     if site is not None:
@@ -170,9 +170,9 @@ def studies(
     with own_folder(folder, ours=ours):
         print(f"Results, as they arrive: {folder / 'index.html'}", flush=True)
         workers = min(workers or _fitting_workers(), len(wanted))
-        known = {} if quick else speed.stored_seconds(notebooks_folder())
+        known = {} if quick else notebooks.stored_seconds(notebooks_folder())
         if left := sum(known.get(study.stem, 0) for study in wanted):
-            slower = speed.machine_speed()
+            slower = notebooks.machine_speed()
             estimate = f"About {left * slower / workers / 60:.0f} minutes: this machine takes "
             print(f"{estimate}{slower:.1f} times as long as that of the stored runs.", flush=True)
         runs = _run_studies(notebooks.run_study, wanted, folder, quick, workers, known)

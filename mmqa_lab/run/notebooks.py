@@ -1,7 +1,7 @@
 """Run notebooks without a screen, each in its own kernel, and store what full runs leave.
 
 What is stored in the repository: the notebooks with their outputs, the thumbnails of their key
-figures, the ledger and the picture of the front page.
+figures, the ledger, the picture of the front page, and the seconds of each run.
 """
 
 import base64
@@ -14,10 +14,12 @@ import time
 from pathlib import Path
 
 import nbformat
+import numpy as np
 import pandas as pd
 from nbclient import NotebookClient
 from nbclient.exceptions import CellExecutionError, DeadKernelError
 from PIL import Image
+from scipy.spatial import cKDTree
 
 from mmqa_lab import plots
 from mmqa_lab.io import write_atomically
@@ -25,9 +27,12 @@ from mmqa_lab.metrics.supports import CURVES
 from mmqa_lab.published.ledger import collect, summary
 from mmqa_lab.run.pages import ANSWERS, LEDGER, notebook_page, stored_answers
 from mmqa_lab.run.results import new_record, read_record, write_record
-from mmqa_lab.run.speed import TIMES, stored_seconds
 
-__all__ = ["ENVIRONMENT", "code_hash", "execute", "inject", "run_study", "store"]
+__all__ = [
+    "ENVIRONMENT", "TIMES", "code_hash", "execute", "inject", "machine_speed", "run_study", "store",
+    "stored_seconds",
+]  # fmt: skip
+
 
 ENVIRONMENT = {
     "MMQA_HEADLESS": "1",
@@ -234,3 +239,38 @@ def _store_ledger(counts, target):
         ax.set(xlabel="printed numbers", ylabel="")
         ax.legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
         write_atomically(target, lambda file: ax.figure.savefig(file, dpi=120))
+
+
+TIMES = "times.csv"
+"""Beside the notebooks: the seconds of each study's stored run."""
+
+# Time of the work below where the stored runs were made, beside other work on the same cores, s.
+REFERENCE_S = 2.2
+
+
+def machine_speed():
+    """Return how many times as long this machine takes for a fixed work as that of the stored runs.
+
+    Returns
+    -------
+    float
+        Above 1 on a slower machine.
+    """
+    points = np.random.default_rng(0).random((100_000, 3))
+    began = time.process_time()
+    for _ in range(3):
+        cKDTree(points).query(points, k=4)
+        np.linalg.eigvalsh(np.einsum("ni,nj->nij", points, points))
+    return (time.process_time() - began) / REFERENCE_S
+
+
+def stored_seconds(notebooks):
+    """Return the seconds of the stored runs by study; empty where nothing is stored.
+
+    Parameters
+    ----------
+    notebooks : path
+        Folder of the notebooks.
+    """
+    file = Path(notebooks) / TIMES
+    return dict(pd.read_csv(file).to_numpy()) if file.is_file() else {}

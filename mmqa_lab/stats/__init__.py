@@ -6,11 +6,16 @@ neighbours.
 """
 
 from mmqa_lab.stats.intervals import (
+    CONSISTENT_SCALE,
+    Errors,
     Interval,
+    Rate,
     bootstrap,
+    errors,
     mean_interval,
     rank_correlation,
     student_reach,
+    wilson,
 )
 from mmqa_lab.stats.neighbours import (
     WAVE_PARTS,
@@ -19,7 +24,6 @@ from mmqa_lab.stats.neighbours import (
     median_ratio_interval,
     order_parts,
 )
-from mmqa_lab.stats.rates import CONSISTENT_SCALE, Errors, Rate, errors, wilson
 
 __all__ = [
     "CONSISTENT_SCALE", "WAVE_PARTS", "Errors", "Interval", "Rate", "bootstrap", "errors",
