@@ -62,9 +62,10 @@ def test_what_is_stored_is_small_and_needs_no_kernel(tmp_path):
         nbformat.v4.new_output("stream", name="stderr", text="a warning"),
         nbformat.v4.new_output("display_data", {"image/png": coded, "text/plain": "Figure"}),
     ]
-    cells = [nbformat.v4.new_code_cell("draw()")]
+    said = nbformat.v4.new_markdown_cell("# Ran\n\n**Answer.** Old.\n\nSource.")
+    cells = [said, nbformat.v4.new_code_cell("draw()")]
     nbformat.write(nbformat.v4.new_notebook(cells=cells), study.path)
-    cells[0].outputs = outputs
+    cells[1].outputs = outputs
     write_atomically(results / "ran.ipynb", nbformat.writes(nbformat.v4.new_notebook(cells=cells)))
     (results / "key.png").write_bytes(content)
     answer = {"sentence": "Yes, by 3 mm.", "short": "Yes.", "figure": "other", "thumbnail": "key"}
@@ -72,7 +73,8 @@ def test_what_is_stored_is_small_and_needs_no_kernel(tmp_path):
     write_record(results, ran)
     store(tmp_path, results.parent, [study])
     stored = nbformat.read(study.path, as_version=4)
-    (shown,) = stored.cells[0].outputs
+    assert stored.cells[0].source == "# Ran\n\n**Answer.** Yes, by 3 mm.\n\nSource."
+    (shown,) = stored.cells[1].outputs
     width = Image.open(io.BytesIO(base64.b64decode(shown["data"]["image/png"]))).width
     assert width <= 1000
     assert study.path.stat().st_size <= LARGEST_BYTES
@@ -110,7 +112,8 @@ def test_a_machine_of_half_the_speed_takes_twice_as_long(monkeypatch):
 def test_no_cell_shows_a_representation_and_the_language_is_whole(study):
     notebook = nbformat.read(study.path, as_version=4)
     shown = [out for cell in notebook.cells for out in cell.get("outputs", [])]
-    assert not [out for out in shown if "<matplotlib" in out.get("data", {}).get("text/plain", "")]
+    alone = [out.get("data", {}) for out in shown if list(out.get("data", {})) == ["text/plain"]]
+    assert not [one for one in alone if re.match(r"\[?(<|Text\()", one["text/plain"])]
     assert len(notebook.metadata["language_info"]) > 3  # or JupyterLab fills it in on opening
 
 
@@ -126,6 +129,8 @@ def test_the_readme_is_short_and_has_the_stored_answers():
         assert len(short.split()) <= 18
         assert not re.search(r"[(\[]", short)
         assert f"{study.notebook}.ipynb) | {short} |" in text
+        first = nbformat.read(study.path, as_version=4).cells[0].source
+        assert f"\n\n**Answer.** {answers.loc[study.stem, 'answer']}\n\n" in first
     counts = summary(pd.read_csv(notebooks_folder() / "ledger.csv", dtype={"printed": str})).loc[
         "all"
     ]

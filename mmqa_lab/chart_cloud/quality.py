@@ -325,15 +325,18 @@ class CloudQuality(Shown):
         Parameters
         ----------
         spacings : Axes
-            For the nearest and the farthest quadrant distance of each point, with d1, d4 and e95.
+            For the nearest and the farthest quadrant distance of each point with d1 and d4, and for
+            the distances of places, dotted and scaled to the number of points, with e95.
         residuals : Axes
             For the distances from the plane, with std and sigma_MAD on both sides of zero.
         """
         from mmqa_lab.plots import COLOURS
 
         self.spacing.plot(ax=spacings)
-        e95 = {"color": COLOURS["black"], "ls": ":", "label": f"$e_{{95}}$ = {self.e95_mm:.1f} mm"}
-        spacings.axvline(self.e95_mm, **e95)
+        black, away = {"color": COLOURS["black"], "ls": ":"}, 1000 * self.empty_space.distances
+        bins, each = np.linspace(*spacings.get_xlim(), 56), np.full(len(away), self.n / len(away))
+        spacings.hist(away, bins=bins, weights=each, histtype="step", **black)
+        spacings.axvline(self.e95_mm, label=f"places: $e_{{95}}$ = {self.e95_mm:.1f} mm", **black)
         spacings.legend(loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0)
         half = max(4 * self.sigma_mad_mm, 0.5)
         shown = np.clip(1000 * self.plane.residuals, -half, half)

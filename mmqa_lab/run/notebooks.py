@@ -43,6 +43,9 @@ ENVIRONMENT = {
     "TQDM_DISABLE": "1",
 }
 
+# The answer of the last stored run, on the first screen of a notebook.
+ANSWER = re.compile(r"(?m)^\*\*Answer\.\*\* .*\n+")
+
 # Widths of stored figures, which is 178 mm at 143 dpi, and of thumbnails.
 WIDTH_PX, THUMBNAIL_PX = 1000, 280
 
@@ -145,6 +148,8 @@ def store(notebooks, folder, studies):
         plain = nbformat.read(study.path, as_version=4)
         if [cell.source for cell in ran.cells] != [cell.source for cell in plain.cells]:
             raise ValueError(f"Invalid results of {study.stem}: the notebook changed. Must be run.")
+        found = f"**Answer.** {record['answer']['sentence']}\n\n"
+        ran.cells[0].source = ANSWER.sub(lambda _, found=found: found, ran.cells[0].source)
         text = nbformat.writes(_lightened(ran, plain)).replace(str(folder), "results")
         write_atomically(study.path, text + "\n")
         seconds[study.stem] = record["seconds"]
@@ -203,9 +208,9 @@ def _lightened(ran, kept):
 
 
 def _is_representation(output):
-    """Whether an output is an object's name and address alone, as of a legend."""
+    """Whether an output is an object's name alone, as of a legend or of texts."""
     data = output.get("data", {})
-    return set(data) == {"text/plain"} and data["text/plain"].lstrip("[").startswith("<")
+    return set(data) == {"text/plain"} and data["text/plain"].lstrip("[").startswith(("<", "Text("))
 
 
 def _small(output):

@@ -27,7 +27,7 @@ from tqdm.auto import tqdm
 
 from mmqa_lab.io import write_atomically
 from mmqa_lab.run.exercises import NUMBER, NUMBERS, answer_parts, names_in, student_cell
-from mmqa_lab.run.notebooks import execute, inject
+from mmqa_lab.run.notebooks import ANSWER, execute, inject
 from mmqa_lab.run.pages import notebook_page
 
 __all__ = [
@@ -62,7 +62,7 @@ def _student_notebook(notebook, checks):
     for cell in cells:
         if NUMBER in _tags(cell):
             cell.source = cell.source.replace(f"{NUMBER} = 1", f"{NUMBER} = ...")
-        cell.source = SET_HERE.sub("set it in the next cell", cell.source)
+        cell.source = SET_HERE.sub("set it in the next cell", ANSWER.sub("", cell.source))
         if "solution" in _tags(cell):
             copy.cells += _exercise(cell.source)[: 2 if checks else 1]
         elif not {"lesson", "results"} & set(_tags(cell)):
