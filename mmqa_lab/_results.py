@@ -22,7 +22,7 @@ class Shown:
     """A result that shows itself as the table of ``to_frame``, a single row upright.
 
     ``_metres`` names the fields in metres whose names do not say so, ``_derived`` the properties
-    that belong into the table.
+    that belong into the table. Residuals, one for each row of the data, do not.
     """
 
     _metres: tuple[str, ...] = ()
@@ -33,7 +33,8 @@ class Shown:
         row: dict[str, Any] = {}
         for name in (*(field.name for field in fields(cast(Any, self))), *self._derived):
             value, unit = getattr(self, name), "_m" if name in self._metres else ""
-            if isinstance(value, np.ndarray) and value.shape in ((2,), (3,)):
+            short = isinstance(value, np.ndarray) and value.shape in ((2,), (3,))
+            if short and name != "residuals":
                 row |= {f"{name}_{axis}{unit}": v for axis, v in zip("xyz", value, strict=False)}
             elif np.ndim(value) == 0:
                 row[name + unit] = value

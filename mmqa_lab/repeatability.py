@@ -15,7 +15,14 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
-from mmqa_lab._checks import check_columns, check_count, check_number, check_polygon, check_positive
+from mmqa_lab._checks import (
+    check_columns,
+    check_count,
+    check_number,
+    check_polygon,
+    check_positive,
+    refuse,
+)
 from mmqa_lab._results import Shown
 from mmqa_lab._streams import stream
 from mmqa_lab.chart_cloud import evaluate_cloud
@@ -110,7 +117,8 @@ def evaluate_selections(
     Raises
     ------
     ValueError
-        If a polygon cannot be evaluated, for example because it contains too few points.
+        If there is no polygon, or one cannot be evaluated, for example because it contains too
+        few points.
 
     Examples
     --------
@@ -120,7 +128,8 @@ def evaluate_selections(
     >>> evaluate_selections(cloud, [square, square + [0.04, 0, 0]])["n"].tolist()
     [1600, 1600]
     """
-    frames = [evaluate_cloud(points, polygon=p, axes=axes).to_frame() for p in np.asarray(polygons)]
+    refuse(not len(polygons), "polygons", "none given", "one or more")
+    frames = [evaluate_cloud(points, polygon=p, axes=axes).to_frame() for p in polygons]
     table = pd.concat(frames, ignore_index=True)
     return table.rename_axis("selection").reset_index()
 

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pyproj
 import pytest
+import shapely
 
 from mmqa_lab import (
     chart_cloud,
@@ -34,6 +35,7 @@ from mmqa_lab.cloud import Cloud
 from mmqa_lab.scan_pattern import mimic
 from mmqa_lab.simulate import cameras
 from mmqa_lab.simulate.point_patterns import point_pattern
+from mmqa_lab.test_field import plan_differences
 
 PATCH = str(samples.path("road_patch"))
 PLAN = "plan --pulse-rate 3e5 --mirror-frequency 100 --speed 10 --range 5"
@@ -133,6 +135,8 @@ COMMANDS = [
 ]
 
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]])
+BOW = np.array([[0.0, 0.0], [1, 1], [1, 0], [0, 1]])
+POLE = pd.DataFrame({"x_m": [0.0], "y_m": [0.0], "z_m": [0.0]})
 HEAD = {"pulse_rate_hz": 3e5, "mirror_frequency_hz": 100, "speed_m_s": 10}
 SETUP, WALL = scan_pattern.ScanSetup(**HEAD), scan_pattern.Target(range_m=5)
 LINES = np.stack(np.meshgrid([0.0], np.arange(9) / 9, np.arange(9) / 9), axis=-1).reshape(-1, 3)
@@ -190,6 +194,12 @@ FUNCTIONS = [
     (lambda: stats.errors([np.inf]), "Invalid errors: infinite."),
     (lambda: planes.fit_line([[1, 1], [1, 1]]), "Must span a line"),
     (lambda: planes.fit_plane(SQUARE).horizontal_axes(), "Must be 0.1 degrees or more"),
+    (lambda: chart_cloud.chart_polygon(SQUARE, margins=(0.1, 0.1, 0.1)), "margins: 3 given"),
+    (lambda: repeatability.evaluate_selections(SQUARE, []), "Invalid polygons: none given."),
+    (lambda: spacing.empty_space(SQUARE[:, :2], outline=shapely.Polygon()), "Invalid outline"),
+    (lambda: spacing.empty_space(SQUARE[:, :2], outline=BOW), "Invalid outline: crosses itself"),
+    (lambda: plan_differences(SQUARE, POLE, slices={"pole": ()}), "Invalid slices of 'pole': none"),
+    (lambda: io.write_cloud("a.laz", Cloud(SQUARE, {"xyz": range(len(SQUARE))})), "'xyz'. Must be"),
     (lambda: planes.sigma_mad([np.nan]), "Must be a row of finite numbers"),
     (lambda: lines.components(0 * EDGE, EDGE), "no length in row 0"),
     (lambda: lines.components(np.zeros((3, 5)), EDGE), "shape (3, 5)"),

@@ -16,6 +16,17 @@ from mmqa_lab.charts import Bar, Layout, Text
 CHART = charts.imaging_chart()
 
 
+def test_what_is_printed_over_another_element_is_refused_or_covers_it():
+    bar, panel = Bar("bar", 2, 2, 6, 6), Bar("panel", 5, 5, 6, 6, tone=1.0)
+    with pytest.raises(ValueError, match="'bar' and 'panel': one over the other"):
+        Layout("two", 20, 20, (bar, panel))
+    white = Text("white", 3, 4, "I", 3, tone=1.0)  # on black, though it says no ground
+    image = charts.reflectance(Layout("text", 10, 10, (bar, white)), cell=0.1)
+    assert abs(image.min()) < 1e-6
+    assert image.max() < 1 + 1e-6
+    assert image[25:75, 25:75].max() > 0.9
+
+
 @pytest.mark.parametrize("layout", [CHART, charts.imaging_chart("revised")])
 def test_nothing_overlaps_but_text_on_its_panel(layout):
     boxes = []

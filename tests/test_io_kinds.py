@@ -328,6 +328,12 @@ def test_ply_of_any_order_is_the_same_cloud(tmp_path, binary, faces, names, end,
     assert np.array_equal(io.read_cloud(tmp_path / "p.ply").points, PLANE)
 
 
+def test_a_text_that_says_float_keeps_its_digits(tmp_path):
+    rows = "".join(f"{x:.3f} {y:.3f} {z:.3f}\n" for x, y, z in PLANE + FAR)
+    (tmp_path / "p.ply").write_text(ply_header(120, kind="float") + rows)
+    assert np.array_equal(io.read_cloud(tmp_path / "p.ply").points, np.round(PLANE + FAR, 3))
+
+
 @pytest.mark.parametrize("order", ["ascii", "binary_little_endian"])
 @pytest.mark.parametrize("count", [100, 130])
 def test_ply_with_other_rows_than_its_header_says_is_refused(tmp_path, order, count):

@@ -324,7 +324,8 @@ def test_displaced_pairs_of_rows_of_windows_stand(seed, monkeypatch):
         "mmqa_lab.lines.distance.match_displaced",
         lambda *sets, **choices: called.append(1) or match_displaced(*sets, **choices),
     )
-    table = lines.compare({"test": test, "model": model}, matcher="displaced")
+    table = lines.compare({1: test, "model": model}, matcher="displaced")
+    assert table["direction"].tolist() == ["1 to model", "model to 1"]
     assert table["displaced_pairs"].tolist() == [found.test_model.n] * 2
     assert called == [1]
 

@@ -116,3 +116,10 @@ def test_visible_is_true_or_false_and_nothing_else(said):
         poles.score(table([[0, 0]]), table([[0, 0], [5, 0]]).assign(visible=[True, said]))
     numbers = table([[0, 0], [5, 0]]).assign(visible=[1, 0])
     assert poles.score(table([[0, 0]]), numbers).recall.n == 1
+
+
+def test_a_reference_that_is_listed_twice_counts_once():
+    truth = table([[0, 0], [5, 0], [0, 0]])
+    with pytest.warns(UserWarning, match="1 of 3 references stand at the place of another"):
+        found = poles.score(table([[0.1, 0]]), truth)
+    assert (found.recall.value, found.recall.n, found.precision.value) == (0.5, 2, 1)

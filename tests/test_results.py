@@ -80,3 +80,9 @@ def test_intervals_of_a_calibration_are_those_of_its_table():
     assert found["figure"].tolist() == ["roll_deg of head 0", "x_m of head 0"]
     assert found["unit"].tolist() == ["deg", "m"]
     assert found[["low", "high"]].to_numpy().tolist() == [[0.08, 0.12], [0.18, 0.22]]
+
+
+@pytest.mark.parametrize("n", [3, 4])
+def test_residuals_are_no_vector_however_few_they_are(n):
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.1]])[:n]
+    assert not [name for name in fit_plane(points).to_frame() if "residual" in name]

@@ -11,7 +11,14 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_points, check_polygon, check_positive, polygon_rings, refuse
+from mmqa_lab._checks import (
+    check_points,
+    check_polygon,
+    check_positive,
+    check_values,
+    polygon_rings,
+    refuse,
+)
 from mmqa_lab.chart_cloud.doubts import remarks_on_points, remarks_on_surface
 from mmqa_lab.chart_cloud.quality import CloudQuality
 from mmqa_lab.planes import CONSISTENT_SCALE, checked_plane, sigma_mad
@@ -248,7 +255,9 @@ def chart_polygon(
     corners = check_polygon(corners, name="corners")
     if len(corners) != 4:
         raise ValueError(f"Invalid corners: {len(corners)} given. Must be four.")
-    low, right, high, left = np.broadcast_to(np.asarray(margins, dtype=np.float64), 4)
+    margins = check_values(margins, "margins")
+    refuse(margins.size not in (1, 4), "margins", f"{margins.size} given", "one or four")
+    low, right, high, left = np.broadcast_to(margins, 4)
     a, b, c, d = corners
     width, height = np.linalg.norm(b - a), np.linalg.norm(d - a)
     if left + right >= width or low + high >= height or np.min(margins) < 0:

@@ -98,7 +98,7 @@ def _overlaps(edges, cell):
 
 
 def _add_text(image, element, cell):
-    """Add the difference between the letters' tone and the ground to the image."""
+    """Cover the image with the letters' tone, by the share of each cell that they cover."""
     from matplotlib.backends.backend_agg import RendererAgg
     from matplotlib.transforms import Affine2D
 
@@ -113,8 +113,8 @@ def _add_text(image, element, cell):
     to_cells = Affine2D().scale(1 / cell).translate(*-first)
     renderer.draw_path(plain, outline, to_cells, (0, 0, 0))
     share = np.asarray(renderer.buffer_rgba())[::-1, :, 3] / np.float32(255)
-    change = np.float32(element.tone - element.ground)
-    image[first[1] : last[1], first[0] : last[0]] += share * change
+    part = image[first[1] : last[1], first[0] : last[0]]
+    part += share * (np.float32(element.tone) - part)
 
 
 def drawn(layout, form, metadata, notes=""):

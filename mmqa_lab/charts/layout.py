@@ -54,12 +54,13 @@ class Layout(Rectangle):
     width, height : float
         Size of the chart, mm.
     elements : tuple of Bar, Cells, LinePairs, Marker, Text
-        Later ones cover earlier ones.
+        Texts cover what is before them; others lie beside each other, or where all tones
+        are their ground.
 
     Raises
     ------
     ValueError
-        If two elements share a name, or one reaches over the chart's edge.
+        If two elements share a name or a place, or one reaches over the chart's edge.
 
     Examples
     --------
@@ -88,6 +89,17 @@ class Layout(Rectangle):
             inside = (low >= 0).all() and (high <= [self.width, self.height]).all()
             within = f"within {self.width} mm x {self.height} mm"
             refuse(not inside, f"element {element.name!r}", f"from {low} to {high} mm", within)
+        grids = [one for one in self.elements if not isinstance(one, Text)]
+        ends = np.reshape([one.corners()[[0, 2]] for one in grids], (-1, 2, 2))
+        shared = np.minimum(ends[:, None, 1], ends[:, 1]) - np.maximum(ends[:, None, 0], ends[:, 0])
+        for first, second in np.argwhere(np.triu((shared > 1e-6).all(axis=2), 1)):
+            *edges, tones = grids[first].grid()
+            ahead = zip(edges, ends[second].T, strict=True)
+            cols, rows = ((e[1:] > low + 1e-6) & (e[:-1] < high - 1e-6) for e, (low, high) in ahead)
+            under = np.atleast_3d(tones)[rows][:, cols]
+            on_it = (under == np.ravel(grids[second].ground)).all()
+            names = f"elements {grids[first].name!r} and {grids[second].name!r}"
+            refuse(not on_it, names, "one over the other", "beside each other, but for texts")
 
     @cached_property
     def _by_name(self):

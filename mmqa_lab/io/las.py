@@ -38,6 +38,9 @@ SCAN_ANGLE_STEP = 0.006
 
 LONGEST_NAME = 32
 
+# Names of columns that a LAS file uses itself.
+NO_COLUMN = ("x", "y", "z", "xyz", "header")
+
 # The first format in layers, and how many formats 6 to 10 have without extra bytes.
 FIRST_LAYERED, LAYERS = 6, (9, 10, 11, 10, 12)
 
@@ -102,8 +105,8 @@ def _storable(name, values, field):
     """The values of a column as LAS holds them; what it cannot hold gives one sentence."""
     if values.ndim != 1 or values.dtype.kind not in "biuf":
         raise ValueError(f"Invalid column {name!r}. Must be one number for each point.")
-    if name.lower() in ("x", "y", "z") or len(name.encode()) > LONGEST_NAME:
-        wanted = f"other than x, y, z and at most {LONGEST_NAME} letters long"
+    if name.lower() in NO_COLUMN or len(name.encode()) > LONGEST_NAME:
+        wanted = f"other than {', '.join(NO_COLUMN)} and at most {LONGEST_NAME} letters long"
         raise ValueError(f"Invalid column name {name!r}. Must be {wanted}.")
     if field is None or field.name == "gps_time":
         odd = values.dtype.kind == "f" and values.dtype.itemsize not in (4, 8)

@@ -241,6 +241,7 @@ def _compared(kind, names, sets, radius, choices):
     if found.matcher != "displaced":
         moved = match_displaced(test, model, radius=radius)
     table, remarks = found.to_frame(), found.remarks
+    names = [*map(str, names)]
     table["direction"] = " to ".join(names), " to ".join(names[::-1])
     table.insert(0, "kind", kind)
     table.insert(1, "comparison", "-".join(names))

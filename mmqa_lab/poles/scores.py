@@ -7,6 +7,7 @@ target is ignored: it is neither right nor wrong. A second hit on a target is a 
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from statistics import harmonic_mean
 
@@ -197,6 +198,11 @@ def score(
     >>> result.recall.value, result.precision.value
     (0.5, 0.5)
     """
+    twice = int(pd.DataFrame(_plan(references, "references")).duplicated().sum())
+    if twice:
+        told = f"{twice} of {len(references)} references stand at the place of another"
+        warnings.warn(f"{told}: they are left out.", stacklevel=2)
+        references = references.drop_duplicates(["x_m", "y_m"])
     references, found = (part.reset_index(drop=True) for part in (references, detections))
     target = ~(references.get("height_m", pd.Series(9.0, references.index)) < 1.0).to_numpy()
     if "visible" in references:

@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_count, check_points
+from mmqa_lab._checks import check_count, check_points, refuse
 from mmqa_lab._results import Shown
 from mmqa_lab.planes import flat_points
 from mmqa_lab.spacing.neighbours import tree_of
@@ -106,7 +106,8 @@ def empty_space(xy: ArrayLike, *, outline: object = None, rank: int = 1) -> Empt
     Raises
     ------
     ValueError
-        If there is no point, a coordinate is not finite, or ``rank`` is not a count.
+        If there is no point, a coordinate is not finite, ``rank`` is not a count, or the outline
+        encloses no surface.
 
     See Also
     --------
@@ -132,10 +133,13 @@ def empty_space(xy: ArrayLike, *, outline: object = None, rank: int = 1) -> Empt
     0.019
     """
     xy, rank = flat_points(xy), check_count(rank, "rank")
-    if outline is None:
+    given = outline is not None
+    if not given:
         outline = shapely.convex_hull(shapely.multipoints(xy))
     elif not isinstance(outline, shapely.Geometry):
         outline = shapely.Polygon(check_points(outline, name="outline", columns=2, minimum=3))
+    bad = given and not (shapely.is_valid(outline) and outline.area > 0)
+    refuse(bad, "outline", "crosses itself or has no area", "the border of a surface")
     places = places_within(outline)
     away = tree_of(xy).query(places, [rank])[0][:, 0]
     return EmptySpace(places, away, from_border(outline, places))

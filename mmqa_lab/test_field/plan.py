@@ -9,7 +9,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from mmqa_lab._checks import check_choice, check_columns, check_points
+from mmqa_lab._checks import check_choice, check_columns, check_points, refuse
 from mmqa_lab.planes import fit_circle, fit_line
 from mmqa_lab.stats import errors
 from mmqa_lab.test_field.drives import GROSS, LEAST_GROSS_M, figures, mean_ends
@@ -113,6 +113,7 @@ def plan_differences(
     for number, target in enumerate(targets.to_dict("records")):
         kind = check_choice(target.get("kind", "pole"), "kind", slices)
         place = np.array([target["x_m"], target["y_m"]]) - origin
+        refuse(not len(slices[kind]), f"slices of {kind!r}", "none", "one or more")
         reach = POLE_SEARCH_M if kind == "pole" else CORNER_SEARCH_M
         near = np.array(tree.query_ball_point(place, reach), dtype=int)
         above = points[near, 2] - target["z_m"]
