@@ -359,12 +359,24 @@ def test_a_unit_that_does_not_fit_is_refused():
 @pytest.mark.parametrize("value", ["3,250", "3.250", "1,500"])
 def test_a_text_that_may_have_thousands_is_refused_unless_others_tell(value):
     mixed = [("X", value, ""), ("Y", None, "")]
-    with pytest.raises(ValueError, match="Must be without thousands separators"):
+    with pytest.raises(ValueError, match="Must be numbers without thousands separators"):
         tender.verdicts(*_tables(rows=mixed))
-    if "." in value:
-        told = tender.verdicts(*_tables(rows=[*mixed, ("Z", "12.5", "")]))
-        assert told["value"].iloc[0] == value
-        assert told["verdict"].tolist() == ["not met", "not measured", "not met"]
+    told = tender.verdicts(*_tables(rows=[*mixed, ("Z", "12.5", "")]))
+    right = float(value.replace(",", ""))  # beside 12.5 a comma stands between thousands
+    assert told["value"].iloc[0] == right
+    assert told["verdict"].tolist() == [
+        "met" if right >= 1000 else "not met", "not measured", "not met",
+    ]  # fmt: skip
+
+
+def test_decimal_commas_are_read_beside_marks():
+    """A column of marks and numbers is no column of numbers, but its numbers are none the less."""
+    criteria = [("px", "pixel_mm", "<=", "1,0", "cm"), ("t", "legibility", "<=", "b", "")]
+    criteria = pd.DataFrame(criteria, columns=[*tables.CRITERIA, "unit"])
+    results = [("X", "pixel_mm", "8,5"), ("Y", "pixel_mm", "12"), ("X", "legibility", "A")]
+    found = tender.verdicts(criteria, pd.DataFrame(results, columns=tables.RESULTS))
+    assert found["verdict"].tolist() == ["met", "met", "not met", "not measured"]
+    assert found["margin"].tolist()[:3] == [1.5, 1.0, -2.0]
 
 
 def test_other_spellings_of_relations_and_marks_and_comments_are_read():

@@ -238,6 +238,8 @@ def as_text(frame):
             below = [*_sentences(frame, name), *below]
             frame = frame.drop(columns=name)
     first = frame.columns[0]
+    if below and len(frame.columns) == 1:  # of no file there is a figure
+        return "\n".join(textwrap.fill(line, WIDTH - 1) for line in below)
     shown = printed(frame).set_index(first).rename_axis(index=None, columns=first)
     text = shown.to_string(na_rep="")
     if len(text.splitlines()[0]) > WIDTH:

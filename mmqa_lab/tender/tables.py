@@ -8,6 +8,7 @@ import pandas as pd
 
 from mmqa_lab._checks import check_choice, check_columns, check_known, check_number, refuse
 from mmqa_lab.chart_image import MARKS
+from mmqa_lab.io.numbers import parsed
 from mmqa_lab.metrics import METRICS
 
 __all__ = [
@@ -26,9 +27,6 @@ QUANTITY_UNITS = {
     "": dict.fromkeys(("1", "-", "mark"), 1.0),
 }
 """What quantities that end so may be given in, and its multiple of their own unit."""
-
-GROUPED = r"[+-]?[1-9]\d{0,2}[.,]\d{3}"
-"""A number that may have thousands, or three decimals."""
 
 SPACINGS_MM = (0.5, 1e5)
 """What spacings can be; a value below it is one in metres."""
@@ -142,14 +140,13 @@ def _whole(frame, needed, numbers, what):
         for word in frame[name].unique():
             check_known(word, name, ("", *known))
     for name in numbers:
-        given = frame[name].astype(object).map(_step_of_mark)
-        _check_grouped(given, f"{name} in {what}")
+        given = _read(frame[name].astype(object).map(_step_of_mark), f"{name} in {what}")
         frame[name] = pd.to_numeric(given, errors="coerce")
         bad = frame[name].isna() & given.notna()
         where = f"{given[bad.idxmax()]!r} in row {bad.idxmax() + 1}"
         refuse(bad.any(), f"{name} in {what}", where, "a number")
-    frame[needed[-1]] = frame[needed[-1]].map(_lowered)
-    _check_grouped(frame[needed[-1]], f"{needed[-1]} in {what}")
+    figures = frame[needed[-1]].astype(object).map(_lowered)
+    frame[needed[-1]] = _read(figures, f"{needed[-1]} in {what}")
     frame["quantity"] = frame["quantity"].replace(SAME)
     return _in_own_units(frame, [*needed[-1:], *({*numbers} & {"sigma", "low", "high"})], what)
 
@@ -172,14 +169,11 @@ def _in_own_units(frame, figures, what):
     return frame.astype(dict.fromkeys({*figures} & {"sigma", "low", "high"}, float))
 
 
-def _check_grouped(values, name):
-    """Raise where a text may have thousands or three decimals, and no other text tells."""
-    texts = [one.strip() for one in values if isinstance(one, str)]
-    odd = [one for one in texts if re.fullmatch(GROUPED, one)]
-    told = any(re.fullmatch(r"[+-]?\d*\.\d+", one) for one in texts if one not in odd)
-    if odd and not (told and "." in odd[0]):
-        both = f"{odd[0]} may be {re.sub('[.,]', '', odd[0])} or {odd[0].replace(',', '.')}"
-        raise ValueError(f"Invalid {name}: {both}. Must be without thousands separators.")
+def _read(values, name):
+    """Numbers for texts that are numbers, as between marks; marks and numbers as they are."""
+    texts = values[[isinstance(one, str) and not is_mark(one) for one in values]]
+    numbers = parsed(pd.DataFrame({"number": texts}), name, separator=";")["number"]
+    return values.where(~values.index.isin(texts.index), numbers.astype(object))
 
 
 def _lowered(value):
