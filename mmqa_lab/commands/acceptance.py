@@ -165,9 +165,9 @@ def tender(criteria: str, results: str, /, *, details: bool = False):
     criteria
         CSV file with criterion, quantity, relation (>=, >, <=, <), threshold and, where they
         matter, distance_m, view (orthogonal, forward, backward), direction (h, v), unit (lengths in
-        mm, cm or m), rho0_per_m2 (of f: the density from which it does not matter). Or pfeifer2021:test, pfeifer2021:1,
-        pfeifer2021:2: the test and both scenarios of Pfeifer et al. 2021 (doi
-        10.3390/rs13020237).
+        mm, cm or m), rho0_per_m2 (of f: the density from which it does not matter). Or
+        pfeifer2021:test, pfeifer2021:1, pfeifer2021:2: the test and both scenarios of Pfeifer et
+        al. 2021 (doi 10.3390/rs13020237).
     results
         CSV file with system, quantity, value and, where known, sigma or low and high, distance_m,
         view, direction, unit, remarks: a remark that names the figure makes it not certain. Or

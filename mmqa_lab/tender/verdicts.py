@@ -89,8 +89,9 @@ def verdicts(criteria: pd.DataFrame, results: pd.DataFrame) -> pd.DataFrame:
         both tables), ``relation`` (>=, >, <=, <), ``threshold`` (a number, or a mark a, b, c: >= b
         and <= b both mean b or better, > b and < b better than b); optionally ``distance_m``,
         ``view`` (orthogonal, forward, backward) and ``direction`` (h, v), where empty means every
-        figure of that quantity, ``unit`` (lengths in mm, cm or m, which are converted), and for f ``rho0_per_m2``, the density from which its exemption
-        follows (:func:`mmqa_lab.spacing.exempt`). Empty rows do not count.
+        figure of that quantity, ``unit`` (lengths in mm, cm or m, which are converted), and for f
+        ``rho0_per_m2``, the density from which its exemption follows
+        (:func:`mmqa_lab.spacing.exempt`). Empty rows do not count.
     results : DataFrame
         A row per figure: ``system``, ``quantity``, ``value`` (a number, or a mark a, b, c; empty
         where not measured); optionally ``sigma`` (standard deviation) or ``low`` and ``high`` (95 %
