@@ -32,8 +32,9 @@ LAYERS = (
 )
 """A room may import rooms of its own layer and of those above in this table."""
 
-NO_FILES = set(" ".join((*LAYERS[:2], *LAYERS[3:6])).split()) - {"samples", "chart_image"}
-"""Rooms of methods take arrays: they do not import io."""
+NO_FILES = set(" ".join((*LAYERS[:2], *LAYERS[3:6])).split()) - {"samples", "chart_image", "tender"}
+"""Rooms of methods take arrays: they do not import io. Texts in tables of tenders are read as io
+reads them."""
 
 OTHER_TESTS = {
     "__main__": "commands",

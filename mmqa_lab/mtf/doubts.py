@@ -29,6 +29,9 @@ OTHER_STEP, OTHER_EDGE = 0.03, 0.25
 OVERSHOOT, LOBE_BINS = 0.006, (4, 8, 12, 16)
 """Of both sides of a profile, over the step: only sharpening gives that; bins that are averaged."""
 
+COMPRESSED = 0.012
+"""Noise beside the edge, over the step, that is not far from it."""
+
 CUT, ONE_SIDED = 0.005, 0.025
 """Share of the step by which the two halves of a profile differ where one is clipped; and where
 something else is on one side."""
@@ -64,6 +67,8 @@ def remarks_on(fit, mtf50, turn, by_sigmoid):
     alone = not cut and second <= OTHER_STEP
     along_grid = f"edge within {SMALLEST_ANGLE_DEG:g} degrees of the pixel grid"
     levels = f"{1 / fit.rounding:.0f} grey values in the step and no noise"
+    rings = f"noise of {fit.ringing:.1%} beside the edge alone, as of compression: MTF50 may be"
+    rings += f" off by {4 * fit.ringing:.0%}"
     said = sentences(
         (not np.isfinite(mtf50), "MTF stays above 0.5"),
         (turn < SMALLEST_ANGLE_DEG, along_grid),
@@ -74,6 +79,7 @@ def remarks_on(fit, mtf50, turn, by_sigmoid):
         (second > OTHER_STEP, f"a second edge of {second:.0%} of the step"),
         (alone and one_sided(fit) > ONE_SIDED, ODD_SIDES),
         (fit.rounding * fit.rounded_alike > COARSE, f"{levels}: MTF50 may be a tenth too high"),
+        (alone and fit.ringing > COMPRESSED, rings),
         (fit.hot > 0, f"{fit.hot} odd pixels left out"),
     )
     return tuple(said)

@@ -44,6 +44,9 @@ UNEVEN, FAINT = 4.5, 0.003
 LARGEST_TAIL = 0.5
 """What is missing of a level, times the distance from the edge, over its spread and the step."""
 
+RINGING_PX, FEWEST_NEAR = 6.0, 50
+"""Pixels from the edge within which compression rings; least number of pixels that tell."""
+
 HOT, HOT_STEP = 6.0, 0.1
 """Deviations, and share of the step, from which a pixel is left out."""
 
@@ -213,6 +216,18 @@ class EdgeFit:
     def grain(self) -> float:
         """Noise of a pixel: what differs within bins."""
         return float(np.sqrt(profile(self.distance, self.residuals)[3]))
+
+    @cached_property
+    def ringing(self) -> float:
+        """Noise beside the edge above that far from it and of rounding, as compression leaves it."""
+        left = np.square(self.values - np.interp(self.distance, *self.bins[:2]))
+        size = np.abs(self.distance)
+        near, far = (size > 1.5 * self.spread) & (size < RINGING_PX), size > 2 * RINGING_PX
+        sides = [left[far & (side * self.distance > 0)] for side in (-1, 1)]
+        if min(near.sum(), *map(len, sides)) < FEWEST_NEAR:
+            return 0.0
+        usual = max(one.mean() for one in sides) * (1 + 4 * np.sqrt(2 / near.sum()))
+        return float(np.sqrt(max(left[near].mean() - usual - self.rounding**2 / 12, 0)))
 
     @property
     def rounded_alike(self) -> bool:

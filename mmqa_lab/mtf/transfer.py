@@ -45,6 +45,9 @@ PROFILE_ERROR = 0.002
 """By which profiles err besides noise, over the step. Less is not believed: an edge of 45 degrees
 has few places, and a curve through all of them is free between them."""
 
+RINGING = 1.3
+"""Error of MTF50 over the noise that compression leaves beside the edge: of JPEG 50 to 85."""
+
 LOOSE_NEAR, LOOSE_FAR, TAIL = 0.05, 0.02, 0.2
 """What the curve may add to the sigmoid, standard deviations over the step: near, far, as tail."""
 
@@ -180,8 +183,9 @@ def by_bins(fit):
     turned = np.real(terms * np.conj(terms @ known)) / np.abs(terms @ known) / known[1]
     turned[1] -= 0.5 / known[1]
     by_noise = turned @ inverse @ turned
-    # profiles err by as much, too, as grey values that are rounded alike
-    least = np.hypot(PROFILE_ERROR, fit.rounding * fit.rounded_alike) * mtf50
+    # profiles err by as much, too, as grey values that are rounded alike, and by compression
+    known_errors = PROFILE_ERROR, fit.rounding * fit.rounded_alike, RINGING * fit.ringing
+    least = np.linalg.norm(known_errors) * mtf50
     sigma = float(np.hypot(np.sqrt(max(by_parts, by_noise)) / slope, least))
     if fit.rounding * fit.rounded_alike > COARSE:
         sigma = np.nan
