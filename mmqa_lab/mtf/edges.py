@@ -219,7 +219,7 @@ class EdgeFit:
 
     @cached_property
     def ringing(self) -> float:
-        """Noise beside the edge above that far from it and of rounding, as compression leaves it."""
+        """Noise beside the edge above that far from it and of rounding, as of compression."""
         left = np.square(self.values - np.interp(self.distance, *self.bins[:2]))
         size = np.abs(self.distance)
         near, far = (size > 1.5 * self.spread) & (size < RINGING_PX), size > 2 * RINGING_PX
