@@ -2,6 +2,7 @@
 
 import re
 
+import cv2
 import numpy as np
 import pandas as pd
 import pytest
@@ -305,6 +306,21 @@ def test_a_steep_profile_is_read_nowhere_beyond_its_bins():
     d = (x - 39.5 - rng.uniform(-2, 2)) * np.cos(angle) + (y - 39.5) * np.sin(angle)
     image = 0.12 + 0.63 * spread_edge(d, 0.7, angle) + 0.012 * rng.normal(size=(80, 80))
     assert fit_edge(image).mtf50 == pytest.approx(true_mtf50(0.7, angle), rel=0.03)
+
+
+def test_compression_widens_the_interval_and_is_said_where_it_is_strong():
+    """JPEG leaves nothing far from an edge and rings beside it; noise is the same at both."""
+    off = []
+    for seed in range(6):
+        image, truth = of_camera(6, seed, noise=0.005)
+        assert fit_edge(image).remarks == ()
+        codes = np.uint8(np.round(255 * np.clip(image, 0, 1)))
+        file = cv2.imencode(".jpg", codes, [cv2.IMWRITE_JPEG_QUALITY, 50])[1]
+        found = fit_edge(cv2.imdecode(file, 0) / 255)
+        assert "as of compression: MTF50 may be off by" in found.remarks[0]
+        off.append((found.mtf50 - truth) / found.mtf50_sigma)
+    assert np.abs(off).max() < 3  # 3.9 without what compression leaves
+    assert np.sqrt(np.mean(np.square(off))) > 0.5  # nor is the interval far too wide
 
 
 def test_hot_pixels_are_left_out_and_counted(rng):
