@@ -119,6 +119,7 @@ GONE = {
     "studies.poles_training.example": "tests/poles_training.py",
     "studies.poles_training.lessons": "tests/poles_training.py",
     "studies.poles_training.yard": "tests/poles_training.py",
+    "run.students.needed_statements": "the tag answers of a notebook's cells",
     "studies.fitness.METHODS": "metrics.METRICS",
     "studies.fitness.rules": "studies.fitness.halves",
     "studies.fitness_text.GOOD": "chart_image.resolution",

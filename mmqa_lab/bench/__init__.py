@@ -7,14 +7,7 @@ a value and the reasons. A study is a :class:`Comparison` of cases, methods, tab
 
 from mmqa_lab.bench.comparison import Comparison, grid, run
 from mmqa_lab.bench.ranks import compare, plot, plot_tables, rank, summary
-from mmqa_lab.bench.tables import (
-    cell_table,
-    failures,
-    figure_names,
-    heading,
-    remarked,
-    split_unit,
-)
+from mmqa_lab.bench.tables import cell_table, failures, figure_names, heading, remarked, split_unit
 
 __all__ = [
     "Comparison", "cell_table", "compare", "failures", "figure_names", "grid", "heading", "plot",

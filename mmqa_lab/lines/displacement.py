@@ -22,10 +22,7 @@ from mmqa_lab._checks import check_number
 from mmqa_lab._results import Shown, about, sentences
 from mmqa_lab.lines.displacement_search import MOST_RADIUS_M, TURN_RAD, matched
 from mmqa_lab.lines.pairing import check_pairs, levers, paired
-from mmqa_lab.lines.segments import (
-    check_segments,
-    from_common_origin,
-)
+from mmqa_lab.lines.segments import check_segments, from_common_origin
 
 __all__ = ["Displacement", "fit_displacement", "match_displaced"]
 

@@ -22,13 +22,7 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
-from mmqa_lab._checks import (
-    check_count,
-    check_file,
-    check_positive,
-    check_same_crs,
-    check_upright,
-)
+from mmqa_lab._checks import check_count, check_file, check_positive, check_same_crs, check_upright
 from mmqa_lab.chart_cloud.evaluate import step_of
 from mmqa_lab.cloud import cells_of, extent, sort_into_cells
 from mmqa_lab.io import LAS_ENDINGS, iterate_cloud, own_folder, write_atomically

@@ -10,12 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from mmqa_lab._checks import (
-    check_choice,
-    check_known,
-    check_points,
-    check_positive,
-)
+from mmqa_lab._checks import check_choice, check_known, check_points, check_positive
 from mmqa_lab.chart_cloud.doubts import COARSE_MM, PAIRS, is_below_step, is_coarse
 from mmqa_lab.chart_cloud.evaluate import plan_chart, step_of
 from mmqa_lab.cloud import ON_BORDER, cells_of, extent, sort_into_cells, unit_remarks
@@ -57,9 +52,6 @@ CELL_PLACES = np.outer(np.arange(1, 31), STEPS) % 1
 # Most cells in the rectangle of a map, 8 GB: 5 km x 5 km for cells of half a metre; and of few
 # points, as with one far away by mistake.
 MOST_MAP_CELLS, MOST_PER_POINT, ALWAYS = 1e8, 1000, 1e6
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 ENDINGS = (".nc", ".tif")
 """Endings of maps: NetCDF and GeoTIFF."""

@@ -6,14 +6,14 @@ a run; a student's copy has neither, and no stored outputs. Its tests are compre
 nobody reads them at a glance. A failed check does not stop *Run All*. The cell tagged ``number``
 sets the student's number in the class. Exercises take their values from this number, so each
 student has another answer. The first exercise stands directly below the cells that it needs. The
-teacher gets the solutions and a table of answers by number.
+teacher gets the solutions and a table of answers by number. Cells tagged ``answers`` have what the
+answers need; the table is made without the others, most of which take long.
 """
 
 import ast
 import json
 import os
 import re
-import symtable
 import tempfile
 import textwrap
 from concurrent.futures import ThreadPoolExecutor
@@ -30,14 +30,10 @@ from mmqa_lab.run.exercises import NUMBER, NUMBERS, answer_parts, names_in, stud
 from mmqa_lab.run.notebooks import ANSWER, execute, inject
 from mmqa_lab.run.pages import notebook_page
 
-__all__ = [
-    "answer_table", "needed_statements", "write_solutions", "write_student_notebooks",
-]  # fmt: skip
+__all__ = ["answer_table", "write_solutions", "write_student_notebooks"]
 
 # The notebook's words on the number, replaced in copies, where the student sets it.
 SET_HERE = re.compile(r"the (notebook|next cell) sets it")
-
-IMPORTS = (ast.Import, ast.ImportFrom)
 
 
 def _exercise(source):
@@ -167,7 +163,8 @@ def write_solutions(folder, studies, *, quick=False):
 def answer_table(study, *, quick=False):
     """Return the numeric answers for each number of the class.
 
-    The statements that the solutions need are run, and each solution at its place with each number.
+    The cells tagged ``parameters`` and ``answers`` are run, and each solution at its place with
+    each number.
 
     Parameters
     ----------
@@ -186,124 +183,29 @@ def answer_table(study, *, quick=False):
         If a cell fails; names the notebook and the cell's error.
     """
     notebook = nbformat.read(study.path, as_version=4)
+    cells, notebook.cells, asked = notebook.cells, [], []
+    for cell in cells:
+        if "solution" in _tags(cell):
+            task, work, answers, _ = answer_parts(cell.source)
+            if NUMBER not in names_in(work, ast.Load):
+                continue
+            call = f"print(work_out({ {task: (work, answers)}!r}, globals()))"
+            cell.source = f"from mmqa_lab.run.exercises import work_out\n\n{call}"
+            asked.append(cell)
+        elif not {"parameters", "answers"} & set(_tags(cell)):
+            continue
+        notebook.cells.append(cell)
     if quick:
         inject(notebook, study.quick)
-    cells, kept = [], []
-    for cell in (cell for cell in notebook.cells if cell.cell_type == "code"):
-        if "solution" not in _tags(cell):
-            cells.append(cell.source)
-            continue
-        task, work, answers, _ = answer_parts(cell.source)
-        if NUMBER in names_in(work, ast.Load):
-            kept.append(f"answers_{len(kept)}")
-            needed = ", ".join(sorted(_given_names(work) - {NUMBER}))
-            call = f"work_out({ {task: (work, answers)}!r}, globals())"
-            cells.append(f"{kept[-1]} = (lambda: [{needed}]), {call}")  # names, not looked up
-    cells = ["from mmqa_lab.run.exercises import work_out", *needed_statements(cells, set(kept))]
-    cells.append(f"print('[' + ', '.join(one for _, one in [{', '.join(kept)}]) + ']')")
-    notebook.cells = [nbformat.v4.new_code_cell(text) for text in cells]
-    tail = notebook.cells[-1]
     with tempfile.TemporaryDirectory() as folder:
         failure = execute(notebook, study.path.parent, results=folder)
     if failure:
         cause = f"{study.notebook}.ipynb: {failure}"
         raise ValueError(f"Invalid notebook {cause}. Must run to its end.")
-    found = [pd.DataFrame(rows).set_index("n") for rows in json.loads(tail.outputs[-1]["text"])]
+    texts = [cell.outputs[-1]["text"] for cell in asked]
+    found = [pd.DataFrame(json.loads(text)).set_index("n") for text in texts]
     numbers = pd.DataFrame(index=pd.Index(NUMBERS, name="n"))
     return pd.concat([numbers, *found], axis=1).dropna(axis=1, thresh=2).reset_index()
-
-
-def needed_statements(cells, names):
-    """Return the statements of a notebook's cells that names need, in their order.
-
-    A statement is needed if, of those before the names are read, it sets a needed name, changes
-    what the name stands for, or draws from a needed random generator. What it reads is needed, too,
-    and what a function reads where the function is. Calls change no module.
-
-    Parameters
-    ----------
-    cells : list of str
-        Code of the cells.
-    names : set of str
-
-    Returns
-    -------
-    list of str
-
-    Examples
-    --------
-    >>> needed_statements(["a = 1; b = 2", "a.real; plot(a)", "c = a + 1\\nc.sort()"], {"c"})
-    ['a = 1', 'c = a + 1', 'c.sort()']
-    """
-    tree = ast.parse("".join(TransformerManager().transform_cell(text) for text in cells))
-    rows = [(node, *_names_of(node)) for node in tree.body]
-    modules = set().union(*(done for node, _, done in rows if isinstance(node, IMPORTS)))
-    functions = {node.name: read for node, read, _ in rows if isinstance(node, ast.FunctionDef)}
-    generators, wanted, kept = _generators(tree), _with_inner(names, functions), []
-    for node, read, done in reversed(rows):
-        text = ast.unparse(node)
-        needed = wanted & (done - modules | read & generators) and not text.startswith("run.")
-        if needed or isinstance(node, IMPORTS):
-            kept.insert(0, text)
-            wanted = wanted - _set_by(node) | _with_inner(read, functions)
-    return kept
-
-
-def _with_inner(names, functions):
-    """Names, and those that the functions among them read."""
-    found, inner = set(), set(names)
-    while inner - found:
-        found |= inner
-        inner = set().union(*(functions[name] for name in found & functions.keys()))
-    return found
-
-
-def _generators(tree):
-    """The names that stand for random generators."""
-    calls = [one for one in ast.walk(tree) if isinstance(getattr(one, "value", None), ast.Call)]
-    made = [one for one in calls if ast.unparse(one.value.func).endswith("default_rng")]
-    return set().union(*map(_set_by, made))
-
-
-def _set_by(node):
-    """The names that an assignment surely sets."""
-    places = ast.walk(ast.Tuple(node.targets)) if isinstance(node, ast.Assign) else ()
-    stored = [part for part in places if isinstance(getattr(part, "ctx", None), ast.Store)]
-    return {part.id for part in stored if isinstance(part, ast.Name)}
-
-
-def _given_names(code):
-    """The names that code reads before it sets them."""
-    given, known = set(), set()
-    for node in ast.parse(code).body:
-        read, done = _names_of(node)
-        given, known = given | (read - known), known | done
-    return given
-
-
-def _names_of(node):
-    """The names that a statement reads, and those that it sets or whose objects it changes.
-
-    What it binds itself before it reads it is not read: loop variables and all that is local.
-    """
-    parts, whole = list(ast.walk(node)), symtable.symtable(ast.unparse(node), "", "exec")
-    symbols, tables = whole.get_symbols(), whole.get_children()
-    done = {one.get_name() for one in symbols if one.is_assigned() or one.is_imported()}
-    read = {one.get_name() for one in symbols if one.is_referenced()}
-    for table in tables:  # functions and comprehensions, and those within
-        tables += table.get_children()
-        read |= {one.get_name() for one in table.get_symbols() if one.is_global()}
-    loops = [part.target for part in parts if isinstance(part, ast.For)]
-    read -= {name.id for loop in loops for name in ast.walk(loop) if isinstance(name, ast.Name)}
-    grown = [part.target for part in parts if isinstance(part, ast.AugAssign)]
-    read |= {place.id for place in grown if isinstance(place, ast.Name)}
-    places = [part for part in parts if isinstance(getattr(part, "ctx", None), ast.Store)]
-    calls = [part.value for part in parts if isinstance(part, ast.Expr)]
-    for place in places + [call.func for call in calls if isinstance(call, ast.Call)]:
-        while isinstance(place, ast.Attribute | ast.Subscript):
-            place = place.value
-            done |= {place.id} if isinstance(place, ast.Name) else set()
-    return read, done
 
 
 def _tags(cell):

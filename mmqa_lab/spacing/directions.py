@@ -18,12 +18,7 @@ from mmqa_lab import stats
 from mmqa_lab._checks import check_plan, check_positive
 from mmqa_lab._results import Shown
 from mmqa_lab.planes import flat_points
-from mmqa_lab.spacing.neighbours import (
-    STEP_DEG,
-    by_direction,
-    nearest_by_sector,
-    tree_of,
-)
+from mmqa_lab.spacing.neighbours import STEP_DEG, by_direction, nearest_by_sector, tree_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,13 +11,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy.special import stdtrit
 
-from mmqa_lab._checks import (
-    check_count,
-    check_row,
-    check_together,
-    real_array,
-    refuse,
-)
+from mmqa_lab._checks import check_count, check_row, check_together, real_array, refuse
 from mmqa_lab._results import Shown
 from mmqa_lab._streams import stream
 
