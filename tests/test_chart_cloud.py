@@ -259,7 +259,7 @@ def test_the_plot_says_the_figures(rng):
     said = [text.get_text() for ax in figure.axes if (key := ax.get_legend()) for text in key.texts]
     plt.close(figure)
     assert said[:2] == [f"median $d_{k}$ = {quality.d_mm[k - 1]:.1f} mm" for k in (1, 4)]
-    assert said[2] == f"$e_{{95}}$ = {quality.e95_mm:.1f} mm"
+    assert said[2] == f"places: $e_{{95}}$ = {quality.e95_mm:.1f} mm"
     assert said[3] == f"±std = {quality.std_mm:.1f} mm"
 
 

@@ -8,8 +8,7 @@ from numpy.typing import ArrayLike
 from mmqa_lab._results import sentences
 from mmqa_lab.planes import checked_plane, sigma_mad
 from mmqa_lab.spacing.directions import FEWEST_POINTS, block_numbers
-from mmqa_lab.spacing.empty import EmptySpace, from_border, places_within
-from mmqa_lab.spacing.neighbours import tree_of
+from mmqa_lab.spacing.empty import space_within
 
 __all__ = [
     "COARSE_MM", "PAIRS", "is_below_step", "is_coarse", "part_off", "remarks_on_points",
@@ -63,7 +62,7 @@ def remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
     """Remarks on figures that these points cannot give or give wrongly."""
     d1_mm, d2_mm = 1000 * gaps.d[:2]
     away = np.hypot(*(gaps.xy - np.median(gaps.xy, axis=0)).T)
-    far = away > FAR_QUANTILES * np.quantile(away, 0.9)
+    far = away > FAR_QUANTILES * np.percentile(away, 90)
     coarse = [f"sigma_MAD {sigma_mm:.3g} mm"] * int(step_mm > sigma_mm)
     fine = not is_coarse(d1_mm, step_mm)
     coarse += [f"d1 {d1_mm:.3g} mm"] * int(not fine)
@@ -149,21 +148,20 @@ def is_below_step(d1_mm: ArrayLike, step_mm: float) -> np.ndarray:
 
 def _gaps(xy, outline, has_polygon):
     """A remark if a part of the outline is empty beside what the other gaps let expect."""
-    places = places_within(outline, most=GAP_PLACES)
-    away = tree_of(xy).query(places)[0]
+    space = space_within(xy, outline, most=GAP_PLACES)
+    away = space.distances
     limit = EMPTY_MEDIANS * np.median(away)
     share = np.mean(away > limit)
     if share < EMPTY_SHARE:
         return ()
     empty = f"{100 * share:.0f} % of the {'polygon' if has_polygon else 'hull of the points'} lies "
     empty += f"more than {1000 * limit:.0f} mm from any point: the density counts it."
-    e95 = EmptySpace(places, away, from_border(outline, places)).e95
-    whole = np.quantile(away, 0.95)
+    whole = np.percentile(away, 95)
     return sentences(
         (True, empty),
         (not has_polygon, "Give a polygon if the surface is smaller than the hull."),
         (
-            has_polygon and not whole < 1.1 * e95,
+            has_polygon and not whole < 1.1 * space.e95,
             f"Points end before the border: e95 is {1000 * whole:.0f} mm if places there count.",
         ),
     )
@@ -206,7 +204,7 @@ def _form(xy, residuals_mm, step_mm, scale):
 
 def _layers(residuals_mm, step_mm):
     """A remark if the distances from the plane have two peaks, so they are not noise alone."""
-    low, high = np.quantile(residuals_mm, [0.005, 0.995])
+    low, high = np.percentile(residuals_mm, [0.5, 99.5])
     width = max(np.std(residuals_mm) / 4, 1.5 * step_mm)
     if len(residuals_mm) < 100 or not high - low > 4 * width:
         return []

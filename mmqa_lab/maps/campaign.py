@@ -176,7 +176,7 @@ def _key(*values):
     return sha256(json.dumps(values).encode()).hexdigest()[:16]
 
 
-def _tile(own, place, run):
+def _tile_file(own, place, run):
     """The file of a tile's figures."""
     key = _key(*(run[name] for name in ("cell", "radius", "tile", "files", "metrics")))
     return own / f"tile_{place[0]}_{place[1]}_{key}.npy"
@@ -184,7 +184,7 @@ def _tile(own, place, run):
 
 def _missing(own, run):
     """The tiles without a file that can be read."""
-    return [place for place in run["tiles"] if not _is_whole(_tile(own, place, run))]
+    return [place for place in run["tiles"] if not _is_whole(_tile_file(own, place, run))]
 
 
 def _is_whole(file):
@@ -315,7 +315,7 @@ def _map_tile(own, place, near, run, metrics):
     index = cells_of(points[:, :2], cell)
     inner = _within(index, first, first + side)
     table = evaluated_cells(points, index, inner, cell, run["radius"], metrics)
-    write_atomically(_tile(own, place, run), lambda path: np.save(path, table))
+    write_atomically(_tile_file(own, place, run), lambda path: np.save(path, table))
 
 
 def _within(places, low, high):
@@ -348,6 +348,6 @@ def open_map(folder: str | os.PathLike) -> xr.Dataset:
         raise FileNotFoundError(f"Invalid folder {folder}: no tile. Must be of a campaign's map.")
     if missing:
         run["remarks"] += [f"{len(missing)} of {len(run['tiles'])} tiles are missing."]
-    files = [_tile(own, place, run) for place in run["tiles"] if place not in missing]
+    files = [_tile_file(own, place, run) for place in run["tiles"] if place not in missing]
     whole = dataset_of(np.concatenate([np.load(file) for file in files]), run)
     return placed(whole, run["crs"]) if run["crs"] else whole

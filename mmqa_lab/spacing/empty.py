@@ -14,7 +14,7 @@ from mmqa_lab._results import Shown
 from mmqa_lab.planes import flat_points
 from mmqa_lab.spacing.neighbours import tree_of
 
-__all__ = ["STEPS", "EmptySpace", "empty_space", "places_within"]
+__all__ = ["STEPS", "EmptySpace", "empty_space", "places_within", "space_within"]
 
 EMPTY_PLACES = 10_000
 """Number of places of a surface from which points are sought; four times as many move e95 by 1 %
@@ -140,7 +140,12 @@ def empty_space(xy: ArrayLike, *, outline: object = None, rank: int = 1) -> Empt
         outline = shapely.Polygon(check_points(outline, name="outline", columns=2, minimum=3))
     bad = given and not (shapely.is_valid(outline) and outline.area > 0)
     refuse(bad, "outline", "crosses itself or has no area", "the border of a surface")
-    places = places_within(outline)
+    return space_within(xy, outline, rank=rank)
+
+
+def space_within(xy, outline, *, most=EMPTY_PLACES, rank=1):
+    """The empty space of coordinates and an outline that are checked."""
+    places = places_within(outline, most)
     away = tree_of(xy).query(places, [rank])[0][:, 0]
     return EmptySpace(places, away, from_border(outline, places))
 
