@@ -57,30 +57,13 @@ KIND_COLOURS = {
 MAP = "cividis"
 DIVERGING_MAP = "RdBu_r"
 
-STYLE = {
-    "pdf.fonttype": 42,
-    "svg.fonttype": "none",
-    "svg.hashsalt": "mmqa_lab",
-    "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans"],
-    "mathtext.fontset": "custom",  # the fonts of the text, also for publishers
-    "mathtext.cal": "sans:italic",
-    "font.size": 8.0,
-    **dict.fromkeys(("axes.titlesize", "figure.labelsize", "figure.titlesize"), "medium"),
-    **dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize"), 7.0),
-    "legend.frameon": False,
-    "lines.linewidth": 1.0,
-    "axes.linewidth": 0.6,
-    **dict.fromkeys(("axes.spines.top", "axes.spines.right"), False),
-    "image.cmap": MAP,
-    "figure.dpi": 150,
-    "savefig.dpi": 300,
-    "figure.constrained_layout.use": True,
-    "axes.prop_cycle": cycler(color=[c for name, c in COLOURS.items() if name != "grey"])
-    + cycler(linestyle=["-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)), (0, (2, 1)), (0, (1, 3))]),
-}
-"""The house style as matplotlib's settings. Fonts are embedded as TrueType (Type 42). Text in SVG
-stays text. Equal runs give files with equal bytes."""
+_FILE = Path(__file__).with_suffix(".mplstyle")
+STYLE = dict(mpl.rc_params_from_file(_FILE, use_default_template=False))
+STYLE["axes.prop_cycle"] = cycler(
+    color=[colour for name, colour in COLOURS.items() if name != "grey"],
+    linestyle=["-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)), (0, (2, 1)), (0, (1, 3))],
+)
+"""The house style as matplotlib's settings, and its colours each with a dash of its own."""
 
 # Symbols as words of a text: d1, d2, ..., f, g, thresholds, s_r, rho0 and sigma_MAD.
 SYMBOL = re.compile(r"(?<![\w$\\])(?:([dsf])_?([1-9]|r|0)|([fg])|sigma_(?:MAD|mad)|rho0)(?![\w$(])")

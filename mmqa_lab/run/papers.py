@@ -10,6 +10,7 @@ from pathlib import Path
 
 import matplotlib
 import pandas as pd
+from jinja2 import Environment, FileSystemLoader
 
 from mmqa_lab._checks import check_file, needs, refuse
 from mmqa_lab.bench import heading
@@ -145,13 +146,33 @@ def new_paper(
     if record.get("failure", "no run") != "":
         must = f"Must have one, as after mmqa studies {study.stem}."
         raise FileNotFoundError(f"Invalid results {ran}: no run to its end. {must}")
-    write = _latex_parts if latex else _typst_parts
-    target = folder / ("paper.tex" if latex else "paper.typ")
-    write_atomically(target, "\n".join(write(study, record, ran)))
+    ending = "tex" if latex else "typ"
+    target = folder / f"paper.{ending}"
+    write_atomically(target, _skeleton(f"skeleton.{ending}", study, record, ran))
     for name in ("references.bib", *([] if latex else ["lab.typ"])):
         write_atomically(folder / name, partial(shutil.copyfile, TEMPLATES / "paper" / name))
     _bring(target, Path(results))
     return target
+
+
+def _skeleton(name, study, record, ran):
+    """The text of a skeleton by its template; what is not there leaves no line."""
+    marks = {"variable_start_string": "<<", "variable_end_string": ">>"}
+    marks |= {"block_start_string": "<%", "block_end_string": "%>", "comment_start_string": "<!--"}
+    look = {"trim_blocks": True, "lstrip_blocks": True, "keep_trailing_newline": True}
+    book = Environment(loader=FileSystemLoader(TEMPLATES / "paper"), **marks, **look)
+    book.filters |= {"heading": heading, "escaped": escaped}
+    return book.get_template(name).render(
+        study=study,
+        runs=RUNS,
+        most=MOST_COLUMNS,
+        # keys of the study's sources in references.bib
+        sources=[key for words, key in SOURCES.items() if words in study.source]
+        or [*SOURCES.values()],
+        values=[*_values(study, ran)],
+        figures=[*_figures(record, ran)],
+        tables=[*_tables(record, ran)],
+    )
 
 
 def _values(study, ran):
@@ -159,12 +180,6 @@ def _values(study, ran):
     file = ran / "values.csv"
     for row in pd.read_csv(file).itertuples() if file.is_file() else ():
         yield heading(row.name), quoted_name(study.stem, row.name)
-
-
-def _tables(record):
-    """Names of the tables of a run that are short enough for a page."""
-    names = [name.removesuffix(".tex") for name in record["files"] if name.endswith(".tex")]
-    return [name for name in names if name != "values"]
 
 
 def _figures(record, ran):
@@ -175,49 +190,9 @@ def _figures(record, ran):
             yield name, caption, float(re.search(r'width="([\d.]+)pt"', head)[1]) > WIDE_PT
 
 
-def _sources(study):
-    """Keys of a study's sources in references.bib."""
-    return [key for words, key in SOURCES.items() if words in study.source] or [*SOURCES.values()]
-
-
-def _typst_parts(study, record, ran):
-    """The lines of a skeleton in Typst."""
-    yield '#import "lab.typ": fig, paper, stated, tab'
-    yield f'#import "{RUNS}/{study.stem}/values.typ": *\n'
-    yield f'#show: paper.with(title: "{study.title}", abstract: [{study.question}])\n'
-    cited = " ".join(f"@{key}" for key in _sources(study))
-    yield f"= Introduction\n\n{study.question} The study follows {cited}.\n"
-    yield "= Results\n\nThe values of the run, to be quoted by their names:\n"
-    for words, name in _values(study, ran):
-        yield f'- #"{words}": #{name}'
-    for name, _, is_wide in _figures(record, ran):
-        wide = ", wide: true" if is_wide else ""
-        yield f'\n#fig("{study.stem}", "{name}"{wide}) <fig-{name}>'
-    for name in _tables(record):
-        columns = [one for one in pd.read_csv(ran / f"{name}.csv", nrows=1) if one != "kind"]
-        heads = ", ".join(f'"{one}": "{heading(one)}"' for one in columns[:MOST_COLUMNS])
-        wide = ", wide: true" if len(columns) > MOST_COLUMNS // 2 else ""
-        yield f'\n#tab("{study.stem}", "{name}", columns: ({heads}){wide}) <tab-{name}>'
-    yield '\n#bibliography("references.bib")\n'
-
-
-def _latex_parts(study, record, ran):
-    """The lines of a skeleton in LaTeX."""
-    values = f"\\input{{{RUNS}/{study.stem}/values.tex}}"
-    yield f"\\documentclass[twocolumn]{{article}}\n\\usepackage{{booktabs,graphicx}}\n{values}"
-    yield f"\\title{{{study.title}}}\n\\begin{{document}}\n\\maketitle"
-    yield f"\\begin{{abstract}}\n{study.question}\n\\end{{abstract}}"
-    yield f"\\section{{Introduction}}\nThe study follows \\cite{{{','.join(_sources(study))}}}."
-    yield "\\section{Results}\nThe values of the run, to be quoted by their names:"
-    yield "\\begin{itemize}"
-    for words, name in _values(study, ran):
-        yield f"\\item {escaped(words)}: \\{name}"
-    yield "\\end{itemize}"
-    for name, caption, is_wide in _figures(record, ran):
-        star = "*" if is_wide else ""
-        picture = f"\\includegraphics[width=\\linewidth]{{{RUNS}/{study.stem}/{name}.pdf}}"
-        said = f"\\caption{{{escaped(caption)}}}"
-        yield f"\\begin{{figure{star}}}\n{picture}\n{said}\n\\end{{figure{star}}}"
-    for name in _tables(record):
-        yield f"\\input{{{RUNS}/{study.stem}/{name}.tex}}"
-    yield "\\bibliographystyle{plain}\n\\bibliography{references}\n\\end{document}\n"
+def _tables(record, ran):
+    """Names and columns of the tables of a run that are short enough for a page."""
+    for name in (one.removesuffix(".tex") for one in record["files"] if one.endswith(".tex")):
+        if name != "values":
+            columns = pd.read_csv(ran / f"{name}.csv", nrows=1).columns
+            yield name, [one for one in columns if one != "kind"]
