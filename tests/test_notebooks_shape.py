@@ -200,3 +200,59 @@ near = close(ours)"""
     cells[1].source = named
     found = list(checks_on_print(nbformat.v4.new_notebook(cells=cells)))
     assert found == [("The printed d1 is 4 mm.", verdict)]
+
+
+TWO_DIGITS = re.compile(r"(?<![\w.,/=-])(?:[1-9]\d*\.\d+|0\.0*[1-9]\d+)(?![\w.]*\d)")
+"""Numbers with a decimal part and two digits that count, where no name or version goes on."""
+
+NO_RESULT = re.compile(
+    r"\*\*Answer\.\*\*.*|doi\S+|https?\S+|\$[^$]*\$|`[^`]*`"
+    r"|(?i:sections?|tables?|figures?|equations?|chapters?) [\d., andto()-]+"
+)
+"""What is no result of a run, or renewed with it: answers, links, formulas, code, places."""
+
+TYPED = {
+    "own-00": "the size of the sample, and the paper's threshold",
+    "rep22": "follows from a quantile of the normal distribution",
+    "aniso00": "the paper's threshold",
+    "lhd20": "worked out by hand from the formula",
+    "lhd38": "a limit that the cell sets",
+    "pol26": "the report's corridor",
+    "pol29e": "of versions before, which no run of this one repeats",
+    "resolution-05": "the frequency asked for",
+    "resolution-27": "published",
+    "cell-07": "a width that the cell sets",
+    "spec03": "worked out by hand from the formula",
+    "spec15": "published",
+    "radiometry-05": "given in the example by hand",
+    "radiometry-14": "a parameter of the cases",
+}
+"""Cells of text with numbers that a table of the notebook has too, and why they are typed."""
+
+
+def typed_results(notebook):
+    """The cell and the number for each number of the text that an output has, to its digits."""
+    outputs = [one for cell in notebook.cells for one in cell.get("outputs", [])]
+    said = [one.get("text") or one.get("data", {}).get("text/plain", "") for one in outputs]
+    table = set(re.findall(r"\d+\.\d+", " ".join(said)))
+    for cell in notebook.cells:
+        text = NO_RESULT.sub(" ", cell.source) if cell.cell_type == "markdown" else ""
+        if not re.search("References|Exercise|Lesson", text):
+            for number in TWO_DIGITS.findall(text):
+                places = len(number.partition(".")[2])
+                if any(
+                    len(one) >= len(number) and f"{float(one):.{places}f}" == number
+                    for one in table
+                ):
+                    yield cell.id, number
+
+
+def test_results_stand_in_tables_not_in_typed_sentences():
+    notebooks = [nbformat.read(study.path, as_version=4) for study in ALL]
+    found = [one for notebook in notebooks for one in typed_results(notebook)]
+    assert [one for one in found if one[0] not in TYPED] == []
+    assert len(notebooks) == len(DONE)
+    shown = nbformat.v4.new_output("stream", text="f 3.2571")
+    cells = [nbformat.v4.new_code_cell("f", outputs=[shown])]
+    cells.append(nbformat.v4.new_markdown_cell("Version 3.26.1 has f = 3.26 ([2.1](a)).", id="t"))
+    assert [*typed_results(nbformat.v4.new_notebook(cells=cells))] == [("t", "3.26")]
