@@ -7,6 +7,7 @@ from contextlib import redirect_stdout
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from IPython.core.displaypub import CapturingDisplayPublisher
 from matplotlib.backend_bases import MouseEvent
 
 from mmqa_lab import plots, widgets
@@ -378,3 +379,8 @@ def test_selections_are_kept_under_names_shown_again_and_compared(room, screen):
     np.testing.assert_allclose(tool.vertices, tool.kept.selections["floor 1"].polygon, atol=1e-9)
     tool.kept.forget("my wall")
     assert "my wall" not in tool.kept._list.options
+
+
+def test_a_click_while_a_followers_output_is_captured_is_heard():
+    # a kernel calls this of the publisher in place, before it looks what the message asks for
+    CapturingDisplayPublisher().set_parent({"header": {}})

@@ -12,6 +12,7 @@ from typing import Any
 import ipywidgets
 import matplotlib.pyplot as plt
 import numpy as np
+from IPython.core.displaypub import CapturingDisplayPublisher
 from IPython.display import HTML, Javascript, display
 from IPython.utils.capture import capture_output
 from matplotlib.figure import Figure
@@ -40,6 +41,10 @@ from mmqa_lab.widgets.screen import (
 )
 
 __all__ = ["MISSED", "SelectionTool"]
+
+# A kernel tells the publisher of the moment of each click. One that comes while the output of a
+# follower is captured would be lost, and its control dead, for what captures does not listen.
+CapturingDisplayPublisher.set_parent = lambda *_: None  # type: ignore[attr-defined]
 
 # Margins of the tool's figure, as shares of it, and between its panels, as shares of a panel.
 MARGINS = {"left": 0.09, "right": 0.98, "bottom": 0.09, "top": 0.87, "wspace": 0.42, "hspace": 1}
