@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Cloud", "cells_of", "describe", "extent", "group_axes", "path_distance", "sort_into_cells",
-    "unit_remarks",
+    "step_of", "unit_remarks",
 ]  # fmt: skip
 
 # More points in a square of one unit's side than any survey in metres has: the unit is degrees.
@@ -191,11 +191,28 @@ def describe(cloud: Cloud) -> dict:
         **box,
         "unit": ", ".join(dict.fromkeys(units.values())),
         "crs": "" if cloud.crs is None else cloud.crs.name,
-        "resolution_mm": 1000 * cloud.resolution,
+        "resolution_mm": 1000 * np.fmax(cloud.resolution, step_of(cloud.points)),
         "time_span_s": np.ptp(cloud["gps_time"]) if times else np.nan,
         "columns": ", ".join(f"{name} ({count})" for name, count in counts.items() if count > 1),
         "remarks": " ".join([*remarks, *doubts]),
     }
+
+
+def step_of(points: np.ndarray) -> float:
+    """Return the coarsest step, m, of which all coordinates are multiples, NaN without one.
+
+    Examples
+    --------
+    >>> step_of(np.arange(60).reshape(20, 3) * 0.0007 + 5_300_000)
+    0.0001
+    """
+    if len(points) <= 10 or not np.isfinite(points).all():
+        return np.nan
+    local = points[:: 1 + len(points) // 1000] - points[0]
+    steps = np.outer([0.1, 0.01, 0.001, 0.0001], [1, 0.5, 0.2]).ravel()[:-2]  # to 0.1 mm
+    places = (local / step for step in steps)
+    fits = [np.abs(place - np.round(place)).max() < 1e-4 for place in places]
+    return float(max(np.compress(fits, steps), default=np.nan))
 
 
 def extent(points: np.ndarray) -> np.ndarray:

@@ -21,12 +21,12 @@ from mmqa_lab._checks import (
 )
 from mmqa_lab.chart_cloud.doubts import remarks_on_points, remarks_on_surface
 from mmqa_lab.chart_cloud.quality import CloudQuality
+from mmqa_lab.cloud import step_of
 from mmqa_lab.planes import CONSISTENT_SCALE, checked_plane, sigma_mad
 from mmqa_lab.spacing.quadrants import checked_spacing
 
 __all__ = [
     "CHART_MARGINS_M", "chart_polygon", "evaluate_cloud", "inside_polygon", "plan_chart",
-    "step_of",
 ]  # fmt: skip
 
 
@@ -175,15 +175,6 @@ def plan_chart(points, side, radius):
         spacing=checked_spacing(np.ascontiguousarray(points[:, :2]), radius),
         outline=outline,
     )
-
-
-def step_of(points):
-    """The coarsest step, m, of which all coordinates are multiples; NaN without such a step."""
-    local = points[:: 1 + len(points) // 1000] - points[0]
-    steps = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
-    places = (local / step for step in steps)
-    fits = [np.abs(place - np.round(place)).max() < 1e-4 for place in places]
-    return max(np.compress(fits, steps), default=np.nan) if len(points) > 10 else np.nan
 
 
 def inside_polygon(points: ArrayLike, polygon: ArrayLike, *, thickness: float = 0.1) -> np.ndarray:

@@ -23,8 +23,7 @@ import pandas as pd
 from tqdm import tqdm
 
 from mmqa_lab._checks import check_count, check_file, check_positive, check_same_crs, check_upright
-from mmqa_lab.chart_cloud.evaluate import step_of
-from mmqa_lab.cloud import cells_of, extent, sort_into_cells
+from mmqa_lab.cloud import cells_of, extent, sort_into_cells, step_of
 from mmqa_lab.io import LAS_ENDINGS, iterate_cloud, own_folder, write_atomically
 from mmqa_lab.maps.cells import check_extent, chosen_metrics, dataset_of, evaluated_cells, placed
 

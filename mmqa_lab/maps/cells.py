@@ -12,8 +12,15 @@ import pandas as pd
 
 from mmqa_lab._checks import check_choice, check_known, check_points, check_positive
 from mmqa_lab.chart_cloud.doubts import COARSE_MM, PAIRS, is_below_step, is_coarse
-from mmqa_lab.chart_cloud.evaluate import plan_chart, step_of
-from mmqa_lab.cloud import ON_BORDER, cells_of, extent, sort_into_cells, unit_remarks
+from mmqa_lab.chart_cloud.evaluate import plan_chart
+from mmqa_lab.cloud import (
+    ON_BORDER,
+    cells_of,
+    extent,
+    sort_into_cells,
+    step_of,
+    unit_remarks,
+)
 from mmqa_lab.io import write_atomically, write_raster
 from mmqa_lab.metrics import METRICS
 from mmqa_lab.planes import CONSISTENT_SCALE
