@@ -15,6 +15,7 @@ from mmqa_lab._results import Shown
 from mmqa_lab.scan_pattern.measure import MEASURED
 from mmqa_lab.scan_pattern.mimic import LEVEL
 from mmqa_lab.scan_pattern.setup import Patch, ScanSetup, Target, dot
+from mmqa_lab.spacing.empty import STEPS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,7 +33,7 @@ LATTICE_QUANTITIES = (*SMOOTH, "d1_mm", "d4_mm", "f")
 """Predicted quantities, in the order of the table of a lattice."""
 
 
-SPREAD = np.outer([0.7548776662466927, 0.5698402909980532], np.arange(400))  # over a cell
+SPREAD = np.outer(STEPS, np.arange(400))  # over a cell
 TRAVEL = np.array([0.0, 1.0, 0.0])  # the vehicle drives along Y
 
 
