@@ -2,21 +2,30 @@
 
 import json
 import os
+import resource
+import shutil
 import signal
 import stat
 import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+import pyproj
 import pytest
+import xarray as xr
 
 from mmqa_lab import io, maps, samples
+from mmqa_lab._checks.words import BEGINNINGS
 from mmqa_lab._compiled import _can_write
 from mmqa_lab._results import printed
+from mmqa_lab.commands.machine import FIGURE_ENDINGS, write_figure
 from mmqa_lab.io import write_atomically
 from mmqa_lab.run.students import write_student_notebooks
 from mmqa_lab.studies import chosen
@@ -75,36 +84,61 @@ def test_the_mode_of_a_file_that_is_replaced_stays(tmp_path):
 
 
 @pytest.fixture
-def small_disk(tmp_path):
-    """A disk of 200 kB."""
+def small_disk(tmp_path, monkeypatch):
+    """A disk of 64 kB; where none may be mounted, files of so many bytes."""
     folder = tmp_path / "disk"
     folder.mkdir()
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=200k", "none", folder], capture_output=True
-    )
-    if mounted.returncode:
-        pytest.skip("needs the right to mount")
+    command = ["mount", "-t", "tmpfs", "-o", "size=64k", "none", folder]
+    if shutil.which("mount") and not subprocess.run(command, capture_output=True).returncode:
+        yield folder
+        subprocess.run(["umount", folder], check=True)
+        return
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=0))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (65_536, before[1]))
     yield folder
-    subprocess.run(["umount", folder], check=True)
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-def test_a_full_disk_keeps_the_former_file_and_is_said_with_its_path(small_disk):
-    table, cloud = (
-        pd.DataFrame({"a": np.arange(60_000.0)}),
-        np.random.default_rng(1).random((40_000, 3)),
-    )
-    writers = {
-        "f.txt": lambda path: write_atomically(path, "x" * 400_000),
-        "f.csv": lambda path: write_atomically(path, table),
-        "f.las": lambda path: io.write_cloud(path, cloud),
-        "f.npy": lambda path: write_atomically(path, lambda part: cloud.tofile(part)),
+def written_outputs():
+    """Each kind of output: the name of a file, and what writes it with more than 64 kB."""
+    rng = np.random.default_rng(1)
+    table, cloud = pd.DataFrame({"a": rng.random(30_000)}), rng.random((30_000, 3))
+    grid, zone = rng.random((200, 200)), pyproj.CRS("EPSG:25832")
+    ring = np.column_stack([*rng.random((2, 9000)), np.zeros(9000)])
+    ring = ring[np.argsort(np.arctan2(*(ring[:, :2] - 0.5).T))]
+    dataset = xr.Dataset({"a": (("y", "x"), grid)}, {"x": np.arange(200.0), "y": np.arange(200.0)})
+    place = {"corner": (0, 9), "cell": 1.0, "crs": zone}
+
+    def draw():
+        """A figure of many bytes in each form."""
+        axes = plt.figure(figsize=(9, 9)).add_subplot()
+        axes.plot(*rng.random((2, 40_000)), ",")
+        return axes.figure
+
+    return {
+        **{f"f{end}": partial(io.write_cloud, cloud=cloud) for end in (".las", ".laz")},
+        **{f"f{end}": partial(write_figure, draw=draw) for end in FIGURE_ENDINGS},
+        "f.csv": partial(write_atomically, write=table),
+        "f.html": partial(write_atomically, write="x" * 90_000),
+        "f.tif": partial(io.write_raster, bands={"a": grid}, **place),
+        "f.nc": partial(write_atomically, write=partial(dataset.to_netcdf, engine="scipy")),
+        "f.json": partial(io.write_polygon, vertices=ring),
+        "f.gpkg": partial(io.write_outlines, outlines={"a": ring}, crs=zone),
+        "f.npy": partial(write_atomically, write=cloud.tofile),
     }
-    for name, write in writers.items():
-        (small_disk / name).write_bytes(b"LASF former" if name == "f.las" else b"former\n")
-        with pytest.raises(OSError, match=f"^Invalid file .*{name}: .*pace.* Must be writable"):
-            write(small_disk / name)
-        assert b"former" in (small_disk / name).read_bytes()
-        assert not [one for one in small_disk.iterdir() if one.name.startswith(".f")]
+
+
+@pytest.mark.parametrize("name", written_outputs())
+def test_a_full_disk_keeps_the_former_file_and_is_said_with_its_path(small_disk, name):
+    write, file = written_outputs()[name], small_disk / name
+    head = BEGINNINGS.get(file.suffix, b"")
+    former = (head[0] if isinstance(head, tuple) else head) + b" former\n"
+    file.write_bytes(former)
+    with pytest.raises(OSError, match=rf"^Invalid file .*{name}: .*\. Must be writable\.$"):
+        write(file)
+    assert file.read_bytes() == former
+    assert [one.name for one in small_disk.iterdir()] == [name]
 
 
 # Workers and state

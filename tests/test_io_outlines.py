@@ -168,7 +168,7 @@ def test_damage_gets_one_sentence(tmp_path):
 
 @pytest.mark.parametrize("ending", [".geojson", ".gpkg"])
 def test_outlines_there_and_back(tmp_path, ending):
-    before = {"wall": RING, "001": RING + [3, 0, 0.25]}
+    before = {"wall": RING, "001": RING + [3, 0, 0.25], "flat": RING * [1, 1, 0]}
     io.write_outlines(tmp_path / f"o{ending}", before, crs=ZONE)
     again = dict(io.read_outlines(tmp_path / f"o{ending}", crs=ZONE))
     assert list(again) == list(before)

@@ -21,8 +21,8 @@ __all__ = ["alone", "own_folder", "plain_text", "reading", "write_atomically"]
 # Bytes at the beginning of a text file that tell its letters.
 HEAD = 65_536
 
-# Space below which a disk is full.
-FULL_BYTES = 16_384
+# Space below which a library that fails has filled the disk: some leave room as they give up.
+FULL_BYTES = 2**20
 
 # The file by which a folder is known as one that the package writes.
 MARK = ".mmqa_lab"
@@ -57,26 +57,24 @@ def write_atomically(path: str | os.PathLike, write: Callable | str | pd.DataFra
     ['f.txt']
     """
     path = full_path(path)
-    with _writing(path):
+    with contextlib.ExitStack() as left, _writing(path):
         path = path.resolve()
         check_kind(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary = path.with_name(f".{path.stem[:40]}.{secrets.token_hex(8)}{path.suffix}")
         temporary.touch(exist_ok=False)  # no link that somebody has laid there is followed
-        try:
-            if isinstance(write, pd.DataFrame):
-                write.to_csv(temporary, index=False, errors="replace")
-            elif isinstance(write, str):
-                temporary.write_text(write, encoding="utf-8", errors="replace")
-            else:
-                write(temporary)
-            with temporary.open("rb+") as file:
-                os.fsync(file)
-            if path.exists():
-                shutil.copymode(path, temporary)
-            temporary.replace(path)
-        finally:
-            temporary.unlink(missing_ok=True)
+        left.callback(temporary.unlink, missing_ok=True)  # when it is known whether it filled all
+        if isinstance(write, pd.DataFrame):
+            write.to_csv(temporary, index=False, errors="replace")
+        elif isinstance(write, str):
+            temporary.write_text(write, encoding="utf-8", errors="replace")
+        else:
+            write(temporary)
+        with temporary.open("rb+") as file:
+            os.fsync(file)
+        if path.exists():
+            shutil.copymode(path, temporary)
+        temporary.replace(path)
 
 
 @contextlib.contextmanager
@@ -90,8 +88,8 @@ def _writing(path):
         full = path.parent.is_dir() and shutil.disk_usage(path.parent).free < FULL_BYTES
         if not isinstance(error, OSError) and not full:
             raise
-        short = full or not error.strerror  # as numpy says of a write that ended early
-        found = "no space is left" if short else error.strerror
+        told = getattr(error, "strerror", None)  # none, as numpy says of a write that ended early
+        found = told or "no space is left"
         raise OSError(f"Invalid file {path}: {found}. Must be writable.") from error
 
 

@@ -331,7 +331,7 @@ def write_outlines(
         import shapely
 
         pyogrio = needs("files", "pyogrio")
-        shapes = np.array([shapely.to_wkb(_shape(ring)) for ring in rings.values()])
+        shapes = np.array([shapely.to_wkb(_shape(ring)) for ring in rings.values()], dtype=object)
         names = [np.array([*map(str, rings)], dtype=object)]
         layout = {"geometry_type": "Polygon Z", "driver": "GPKG", "layer": "outlines"}
         wkt = None if crs is None else crs.to_wkt()
