@@ -2,6 +2,8 @@
 
 import json
 import os
+import random
+import re
 import resource
 import shutil
 import signal
@@ -21,10 +23,11 @@ import pyproj
 import pytest
 import xarray as xr
 
-from mmqa_lab import io, maps, samples
+from mmqa_lab import _compiled, io, maps, samples, views
 from mmqa_lab._checks.words import BEGINNINGS
 from mmqa_lab._compiled import _can_write
 from mmqa_lab._results import printed
+from mmqa_lab.commands.laboratory import _write_bench
 from mmqa_lab.commands.machine import FIGURE_ENDINGS, write_figure
 from mmqa_lab.io import write_atomically
 from mmqa_lab.run.students import write_student_notebooks
@@ -144,6 +147,83 @@ def test_a_full_disk_keeps_the_former_file_and_is_said_with_its_path(small_disk,
 # Workers and state
 
 
+TOY = """
+from mmqa_lab.run import Run
+import pandas as pd
+run = Run("toy", parameters=globals())
+run.save_table(pd.DataFrame({"a": range(9)}), "first", kind="measured")
+run.save_value("f", 3.257, "1", "predicted")
+run.finish()
+"""
+
+
+def mapped(place):
+    """A map of four tiles, and its file."""
+    folder = maps.map_campaign([place.parent / "a.las"], place, cell=1.0, tile=4)
+    maps.write_map(place / "m.nc", maps.open_map(folder))
+
+
+def copied(place):
+    """The copies of two notebooks for a class."""
+    write_student_notebooks(place, chosen(["mimic", "repeatability"]))
+
+
+def benched(place):
+    """The tables and figures of a bench."""
+    draw = partial(plt.figure, figsize=(2, 2))
+    with io.own_folder(place):
+        _write_bench(place, {"cells": pd.DataFrame({"a": np.arange(99.0)})}, draw)
+
+
+def studied(place):
+    """The tables, values and record of a study."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MMQA_RESULTS", str(place))
+        exec(TOY, {})
+
+
+def lasting(file):
+    """The bytes of a file, but for its date."""
+    return re.sub(rb"<dc:date>[^<]*|/CreationDate \([^)]*\)", b"", Path(file).read_bytes())
+
+
+def files_in(place):
+    """What is in a folder, other than what a writer that was ended left behind."""
+    files = [one for one in place.rglob("*") if one.is_file() and one.name[0] != "."]
+    return {str(one.relative_to(place)): lasting(one) for one in files}
+
+
+def ended_at(moment, how, work, place):
+    """Work in a process of its own, which a signal ends as it finishes its n-th file."""
+    if (child := os.fork()) == 0:
+        signal.alarm(60)  # no test waits for ever
+        left = iter(range(moment))
+        os.fsync = lambda _: next(left, None) is None and os.kill(os.getpid(), how)
+        try:
+            work(place)
+        finally:
+            os._exit(0)
+    return os.WTERMSIG(os.waitpid(child, 0)[1])
+
+
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("work", [mapped, copied, benched, studied])
+def test_work_that_is_ended_at_any_file_is_whole_after_a_second_run(tmp_path, work, how):
+    cloud = np.random.default_rng(1).random((3000, 3)) * [8, 8, 0.01]
+    io.write_cloud(tmp_path / "a.las", cloud)  # LAZ has threads, which a fork loses
+    written = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda file: written.append(lasting(file.name)))
+        work(tmp_path / "sound")
+    sound, rng = files_in(tmp_path / "sound"), random.Random(1)
+    for moment in sorted(rng.sample(range(len(written)), min(2, len(written)))):
+        place = tmp_path / f"ended_{moment}"
+        assert ended_at(moment, how, work, place) == how
+        assert {*files_in(place).values()} <= {*written}  # none is half a file
+        work(place)
+        assert files_in(place) == sound
+
+
 def test_workers_end_with_their_parent(tmp_path):
     code = (
         "import sys, time; from concurrent.futures import ProcessPoolExecutor as Pool\n"
@@ -197,6 +277,28 @@ def test_students_copies_are_written_again_unless_somebody_worked_on_them(tmp_pa
 def test_compiled_code_is_not_kept_where_nothing_can_be_written(tmp_path):
     assert _can_write(tmp_path / "made")
     assert not _can_write(Path("/proc/none"))
+
+
+def test_functions_compile_where_package_and_home_are_read_only(monkeypatch):
+    monkeypatch.setattr(_compiled, "_can_write", lambda _: False)
+    assert _compiled.njit()(lambda x: x + 1)(1) == 2
+
+
+# Other people's folders
+
+
+def test_the_probe_of_a_screen_imports_nothing_from_the_current_folder(monkeypatch):
+    monkeypatch.setenv(views.WINDOW_VARIABLE, "")
+    monkeypatch.setattr(views, "PROBE", "import sys; sys.exit('' in sys.path)")
+    views.can_render.cache_clear()
+    assert views.can_render()
+    views.can_render.cache_clear()
+
+
+def test_names_stand_in_a_table_as_they_were_read(tmp_path):
+    """What a spreadsheet program makes of them is said in SECURITY.md."""
+    write_atomically(tmp_path / "t.csv", pd.DataFrame({"file": ["=1+1"]}))
+    assert (tmp_path / "t.csv").read_text() == "file\n=1+1\n"
 
 
 # Streams
