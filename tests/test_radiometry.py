@@ -11,6 +11,7 @@ from scipy.optimize import least_squares
 from mmqa_lab import image_targets
 from mmqa_lab.radiometry import (
     adjust_block,
+    coarse_pairs,
     empirical_line,
     fit_sensor,
     fit_walthall,
@@ -392,3 +393,10 @@ def test_surfaces_that_flash_up_against_the_sun_are_said(rng, recwarn):
     flash = 0.2 * np.exp(-((np.degrees(np.arccos(cosines)) / 6) ** 2))
     with pytest.warns(UserWarning, match="where the sun stands behind the camera"):
         adjust_block(table.assign(radiance=table["radiance"] * (1 + flash)))
+
+
+def test_coarse_pairs_are_the_image_first_and_the_reference_second(rng):
+    light = rng.uniform(10, 90, (12, 9))
+    dn, radiance = coarse_pairs(np.kron(200 + 3 * light, np.ones((4, 4))), light)
+    assert dn == pytest.approx(200 + 3 * radiance)
+    assert radiance.reshape(12, 9)[1, 1] == pytest.approx(np.median(light[:3, :3]))

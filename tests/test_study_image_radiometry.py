@@ -75,6 +75,15 @@ def test_a_field_has_the_published_targets():
     assert list(worse.values()) == pytest.approx([10.0] * 4)
 
 
+@pytest.mark.parametrize("air", ["clean", "hazy"])
+def test_equation_4_with_the_true_air_gives_the_true_reflectances(air):
+    field, surfaces = image_radiometry.field(air, "green", 0.0, 1)
+    found = image_radiometry.equation_4(field) / surfaces["reference"].to_numpy()
+    assert np.median(found) == pytest.approx(
+        1, abs=0.002
+    )  # without the air's albedo 1.007 and 1.03
+
+
 def test_methods_of_ones_own_on_both_benches():
     one = image_resolution.METHODS["Gaussian sigmoid"]
     mine = {"library": one, "mine": lambda patch: 1.1 * one(patch)["mtf50"]}

@@ -121,6 +121,21 @@ def test_extracted_edges_of_a_canyon_lie_on_the_true_ones():
     assert np.abs(found.vector).max() < 0.002
 
 
+def test_surveys_split_cut_and_invent_as_many_edges_as_they_should():
+    """Of edges: 35 % are cut short, of long ones 12 % in two; 8 % as many are clutter."""
+    counts = np.zeros(3)
+    for scene in (canyon(1), canyon(2), canyon(3)):
+        sizes = lines.lengths(scene.edges)
+        for survey in scene.surveys.values():
+            real = survey.edge >= 0
+            rows = pd.DataFrame(survey.interval[real]).groupby(survey.edge[real])
+            low, high, pieces = rows[0].min(), rows[1].max(), rows.size()
+            long = high - low >= 3
+            shares = (high - low < sizes[low.index] - 1e-9).mean(), (pieces[long] == 2).mean()
+            counts += np.array([*shares, (~real).sum() / len(rows)]) / 12
+    assert counts == pytest.approx([0.35, 0.12, 0.08 * 1.1], abs=0.06)
+
+
 def test_canyon_refuses_negative_noise():
     with pytest.raises(ValueError, match=r"Invalid angle_noise_deg -0\.1"):
         canyon(1, angle_noise_deg=-0.1)
