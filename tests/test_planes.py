@@ -142,3 +142,13 @@ def test_the_normal_of_a_wall_at_45_degrees_does_not_depend_on_the_order(rng):
     wall = np.stack([along, -along, up], axis=-1).reshape(-1, 3)
     normals = [fit_plane(rng.permutation(wall)).normal.round(6) for _ in range(12)]
     assert {tuple(np.sign(normal)[:2]) for normal in normals} == {(1.0, 1.0)}
+
+
+def test_a_robust_plane_lies_where_the_biweights_balance(rng):
+    """The weights of its residuals by their definition: those of another function would not."""
+    points = rng.random((300, 3)) * [2, 1, 0] + [0, 0, 0.01] * rng.exponential(size=(300, 1))
+    found = fit_plane(points, robust=True)
+    off = found.distances(points)
+    u = (off - np.median(off)) / (4.685 * sigma_mad(off))
+    weights = np.where(np.abs(u) < 1, (1 - u**2) ** 2, 0)
+    assert abs(np.average(off, weights=weights)) < 1e-5 * off.std()

@@ -6,6 +6,7 @@ import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import stats
 
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.repeatability import (
@@ -199,3 +200,19 @@ def test_rows_that_do_not_name_their_scan_are_refused_and_means_may_be_negative(
         variance_components(table, "f", factors=["scan"])
     below = repeatability(table.dropna().assign(f=lambda one: -one["f"]), "f").to_frame().iloc[0]
     assert 0 < below["low_percent"] < below["relative_s_r_percent"] < below["high_percent"]
+
+
+def test_unequal_groups_and_their_intervals_by_hand():
+    """Mean squares 48 and 5.5, 8 / 3 selections a scan; Bonett's interval by the kurtosis."""
+    values = pd.DataFrame({"scan": [1] * 2 + [2] * 4, "f": [0.0, 2, 4, 6, 8, 10]})
+    found = repeatability(values, "f")
+    assert found.s_l**2 == pytest.approx((48 - 5.5) / (8 / 3))
+    assert found.icc == pytest.approx(15.9375 / 21.4375)
+    off = np.concatenate([np.random.default_rng(k).standard_t(3, 20) for k in range(2)])
+    table = pd.DataFrame({"scan": np.repeat([1, 2], 20), "f": off})
+    off -= np.repeat(off.reshape(2, 20).mean(axis=1), 20)
+    freedom = 2 / (2 / 38 + stats.kurtosis(off) / 40)
+    assert stats.kurtosis(off) > 1
+    found = repeatability(table, "f")
+    ends = found.s_r * np.sqrt(freedom / stats.chi2.ppf([0.975, 0.025], freedom))
+    assert [found.s_r_low, found.s_r_high] == pytest.approx(ends)

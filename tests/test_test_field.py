@@ -228,3 +228,8 @@ def test_targets_without_a_column_or_a_row_are_refused(ground):
         plan_differences(ground, whole[:0])
     with pytest.raises(ValueError, match="Invalid targets: 1 of 1 not finite"):
         plan_differences(ground, whole * np.nan)
+
+
+def test_a_thinned_cloud_keeps_the_point_next_to_the_middle_of_each_cell():
+    cells = np.array([[0.1, 0.1, 0], [0.5, 0.6, 1], [0.9, 0.9, 2], [1.9, 0.1, 3], [1.4, 0.5, 4]])
+    assert thinned(cells, 1.0)[:, 2].tolist() == [1, 4]
