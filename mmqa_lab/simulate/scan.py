@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -28,8 +29,8 @@ RING = 0.651
 """Radius of the ring over the 1/e2 radius: median of the outer 6/7 of a Gaussian beam."""
 
 FEW_SURFACES, NODE_S, SLACK_M = 64, 0.01, 0.05
-"""Scenes with at most so many primitives are first asked which beams may meet them: from places of
-the scanner so many seconds apart, with so many metres of slack for its way in between."""
+"""Scenes with at most so many primitives are first asked which beams may meet their boxes: from
+places of the scanner so many seconds apart, with so many metres of slack for its way in between."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,12 +128,12 @@ class Scanner:
         for name in ("lever_arm_m", "boresight_deg"):
             check_points([getattr(self, name)], name=name)
 
-    @property
+    @cached_property
     def mounting(self) -> np.ndarray:
         """Assumed rotation (3, 3) from the scanner's frame to the vehicle's."""
         return rotations(0.0, *np.radians([self.tilt_deg + 90 * self.upright, -self.heading_deg]))
 
-    @property
+    @cached_property
     def true_mounting(self) -> np.ndarray:
         """Rotation with the boresight error, (3, 3)."""
         return rotations(*np.radians(self.boresight_deg)) @ self.mounting
@@ -242,7 +243,7 @@ def scan(
     for number, head in enumerate(heads):
         first, last = (int(np.ceil(t * head.pulse_rate_hz)) for t in (start, stop))
         cuts = np.append(np.arange(first, max(last, first + 1), 100_000), last)
-        pulses += [(number, np.arange(*ends)) for ends in pairwise(cuts)]
+        pulses += [(number, _in_view(head, *ends)) for ends in pairwise(cuts)]
     streams = [stream(seed, f"scan by head {n}") for n in range(len(heads))]
     clouds = []
     for number, pulse in pulses:
@@ -251,6 +252,17 @@ def scan(
             cloud.columns["head"] = np.full(len(cloud), number, np.uint8)
         clouds.append(cloud)
     return Cloud.concatenate(clouds)
+
+
+def _in_view(scanner, first, last):
+    """The pulses of one block, in order, but for most of those outside the field of view."""
+    turn = scanner.pulse_rate_hz / scanner.mirror_frequency_hz
+    low, high = (np.array(scanner.field_of_view_deg) + 180) / 360
+    lines = np.arange(np.floor(first / turn), last / turn + 1)
+    starts = np.clip(np.floor((lines + low) * turn) - 1, first, last).astype(np.int64)
+    ends = np.clip(np.ceil((lines + high) * turn) + 2, first, last).astype(np.int64)
+    counts = np.maximum(np.minimum(ends, np.append(starts[1:], last)) - starts, 0)
+    return np.repeat(starts - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())
 
 
 def _shoot(scene, scanner, trajectory, known, pulse, rng):
@@ -293,36 +305,59 @@ def _shoot(scene, scanner, trajectory, known, pulse, rng):
 
 
 def _may_meet(scene, scanner, trajectory, since, beams):
-    """Which beams may meet a scene of few surfaces: those that pass near the balls around them.
+    """Which beams may meet a scene of few surfaces: those that pass near the boxes around them.
 
-    The balls are seen from the scanner every ``NODE_S`` seconds, and in between on straight lines.
+    The boxes are seen from the scanner every ``NODE_S`` seconds, and in between on straight lines.
     """
     if len(scene.balls) > FEW_SURFACES or not len(since):
         return np.ones(len(since), dtype=bool)
     nodes = np.linspace(since[0], since[-1], int(np.ptp(since) / NODE_S) + 2)
-    states = trajectory.states(nodes)
-    balls = scene.balls[:, :3] - (trajectory.origin - scene.origin) - states[:, None, :3]
-    balls = (balls @ rotations(*states[:, 3:].T) - scanner.lever_arm_m) @ scanner.true_mounting
+    states, (axes, half) = trajectory.states(nodes), scene.boxes
+    turn = rotations(*states[:, 3:].T)
+    centre = scene.balls[:, :3] - (trajectory.origin - scene.origin) - states[:, None, :3]
+    frames = np.empty((len(nodes), *axes.shape[:1], 4, 3))
+    frames[:, :, 0] = (centre @ turn - scanner.lever_arm_m) @ scanner.true_mounting
+    frames[:, :, 1:] = axes @ (turn @ scanner.true_mounting)[:, None]
     place = (since - since[0]) / max(nodes[1] - nodes[0], 1e-9)
-    reach = scene.balls[:, 3] + SLACK_M + scanner.exit_diameter_m
-    return _pass_near(place, beams, balls, reach, scanner.divergence_mrad / 1000)
+    sizes = np.column_stack([scene.balls[:, 3], half])
+    slack = SLACK_M + scanner.exit_diameter_m
+    return _pass_near(place, beams, frames, sizes, slack, scanner.divergence_mrad / 1000)
 
 
 @njit(cache=True, nogil=True)
-def _pass_near(place, beams, balls, reach, growth):
-    """Whether each beam passes within reach of a ball, (nodes, n, 3); it widens by ``growth``."""
-    near = np.zeros(len(beams), np.bool_)
+def _pass_near(place, beams, frames, sizes, slack, growth):
+    """Whether each beam passes within ``slack`` of a box; it widens by ``growth``.
+
+    ``frames`` are centres and axes of boxes, (nodes, n, 4, 3), ``sizes`` the radius of the ball
+    around each and its half sizes, (n, 4).
+    """
+    near, offset = np.zeros(len(beams), np.bool_), np.empty(3)
     for n in range(len(beams)):
-        node = min(int(place[n]), len(balls) - 2)
-        for k in range(len(reach)):
+        node = min(int(place[n]), len(frames) - 2)
+        part = place[n] - node
+        for k in range(len(sizes)):
             along, square = 0.0, 0.0
             for j in range(3):
-                start, end = balls[node, k, j], balls[node + 1, k, j]
-                offset = start + (place[n] - node) * (end - start)
-                along += offset * beams[n, j]
-                square += offset * offset
-            limit = reach[k] + growth * np.sqrt(square)
-            if along > -limit and square - along * along <= limit * limit:
+                start, end = frames[node, k, 0, j], frames[node + 1, k, 0, j]
+                offset[j] = start + part * (end - start)
+                along += offset[j] * beams[n, j]
+                square += offset[j] * offset[j]
+            wide = slack + growth * (np.sqrt(square) + sizes[k, 0])
+            limit = sizes[k, 0] + wide
+            if along <= -limit or square - along * along > limit * limit:
+                continue
+            enter, leave = -np.inf, np.inf
+            for i in range(1, 4):
+                aside, ahead = 0.0, 1e-300
+                for j in range(3):
+                    start, end = frames[node, k, i, j], frames[node + 1, k, i, j]
+                    axis = start + part * (end - start)
+                    aside += axis * offset[j]
+                    ahead += axis * beams[n, j]
+                reach = (sizes[k, i] + wide) / abs(ahead)
+                enter = max(enter, aside / ahead - reach)
+                leave = min(leave, aside / ahead + reach)
+            if enter <= leave:
                 near[n] = True
                 break
     return near

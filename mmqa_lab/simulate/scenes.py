@@ -7,6 +7,7 @@ ray's point closest to their centre, so that a post of 3 cm at 100 m keeps its d
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_points
 from mmqa_lab._compiled import in_threads, njit
+from mmqa_lab.rotations import across
 from mmqa_lab.simulate.surfaces import DISC, SHAFT, group
 
 __all__ = ["Hits", "Scene", "Tree", "nearest"]
@@ -92,6 +94,18 @@ class Scene:
         # the last entry, -1, is of rays that meet nothing
         self._surface = np.append(ids[order], np.int32(-1))
         self._reflectance = np.append(whole.reflectance[order], np.nan)
+        self._kind, self._shape = whole.kind, whole.shape
+
+    @cached_property
+    def boxes(self):
+        """Axes (n, 3, 3) and half sizes (n, 3) of the box around each primitive."""
+        axes, shaft = self._shape.reshape(-1, 3, 3).copy(), self._kind == SHAFT
+        axes[shaft, 1:] = across(axes[shaft, 0])
+        length = np.linalg.norm(axes, axis=2)
+        half = np.column_stack([1 / length[:, :2], 0 * length[:, 2]])
+        _, _, _, long, radius, growth, *_ = self._shape[shaft].T
+        half[shaft] = np.column_stack([long, *2 * [radius + np.abs(growth) * long]])
+        return axes / length[:, :, None], half
 
     def cast(self, origins: ArrayLike, directions: ArrayLike) -> Hits:
         """Return the ``Hits`` of rays.

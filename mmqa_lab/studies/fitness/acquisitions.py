@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
+from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
 from mmqa_lab.simulate import PRESETS, Scanner, Scene, cylinder, rectangle, straight, systems
@@ -272,17 +273,19 @@ def _matched(case, scene, axes, middles, rng):
             3.2,
         ]
         holes = rng.uniform(-0.5, 0.5, (rng.poisson(4 * wide), 2)) * [wide, 3.2]
-        for hole, radius in zip(holes, rng.uniform(0.02, 0.12, len(holes)), strict=True):
-            places = places[np.hypot(*(places - hole).T) >= radius]
+        radii = rng.uniform(0.02, 0.12, len(holes))
+        inside = cKDTree(places).query_ball_point(holes, radii)
+        places = np.delete(places, np.concatenate([*inside, []]).astype(int), axis=0)
         aims = middle + np.column_stack([places, np.zeros(len(places))]) @ axes[name]
         camera = np.array([0, middle[1], case["height_m"]])
         beams = (aims - camera) / np.linalg.norm(aims - camera, axis=1, keepdims=True)
         waves = rng.standard_normal((2, 20)) / 0.1
-        common = np.cos(places @ waves + 2 * np.pi * rng.random(20)).sum(axis=1) / 10**0.5
+        phases = 2 * np.pi * rng.random(20)
         half = case | {"noise_mm": 0.6 * case["noise_mm"]}
         from_ = np.broadcast_to(camera, beams.shape)
         points, hit, there = _cast(half, scene, from_, beams, rng)
-        parts.append((points + 0.0008 * case["noise_mm"] * (common[:, None] * beams)[there], hit))
+        common = np.cos(places[there] @ waves + phases).sum(axis=1, keepdims=True) / 10**0.5
+        parts.append((points + 0.0008 * case["noise_mm"] * common * beams[there], hit))
     return tuple(np.concatenate(one) for one in zip(*parts, strict=True))
 
 
