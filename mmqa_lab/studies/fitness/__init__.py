@@ -10,6 +10,7 @@ from mmqa_lab.chart_cloud import chart_polygon, evaluate_cloud
 from mmqa_lab.metrics import METRICS
 from mmqa_lab.studies.fitness.acquisitions import RANGES, acquisitions, beam_radius, drive
 from mmqa_lab.studies.fitness.comparison import (
+    advice,
     by_kind,
     correlations,
     halves,
@@ -23,9 +24,9 @@ from mmqa_lab.studies.fitness.real import real_boards, road_squares
 from mmqa_lab.studies.fitness.tasks import FREE, GOOD, TASKS, errors_of
 
 __all__ = [
-    "FREE", "GOOD", "RANGES", "TASKS", "acquisitions", "bench", "by_kind", "correlations", "drive",
-    "halves", "make", "matrix", "measured", "real_boards", "road_squares", "thresholds", "winners",
-    "written",
+    "FREE", "GOOD", "RANGES", "TASKS", "acquisitions", "advice", "bench", "by_kind",
+    "correlations", "drive", "halves", "make", "matrix", "measured", "real_boards",
+    "road_squares", "thresholds", "winners", "written",
 ]  # fmt: skip
 
 SQUARE = np.array([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0]])

@@ -9,7 +9,7 @@ from mmqa_lab.metrics import METRICS
 from mmqa_lab.spacing import exempt
 from mmqa_lab.studies.fitness.tasks import GOOD
 
-__all__ = ["FEW", "by_kind", "correlations", "halves", "matrix", "measured", "thresholds"]
+__all__ = ["FEW", "advice", "by_kind", "correlations", "halves", "matrix", "measured", "thresholds"]
 __all__ += ["winners", "written"]
 
 FEW = 10
@@ -191,6 +191,35 @@ def winners(table, groups, near=0.03):
     close = behind[behind < near].reset_index().groupby("task")["method"].agg(", ".join)
     wide["near the best in all"] = close.reindex(wide.index).where(several).fillna("")
     return wide
+
+
+def advice(table, near=0.03):
+    """Return which metric to ask for in each task by somebody who does not know the scanner.
+
+    Of the metrics that are less than ``near`` behind the best of the task over all acquisitions, it
+    is the one that is least behind in the group of scanners where it does worst.
+
+    Parameters
+    ----------
+    table : DataFrame
+        From :func:`by_kind`, with all acquisitions as the group ``pooled``.
+    near : float
+
+    Returns
+    -------
+    DataFrame
+        The rows of ``pooled`` with ``worst``, how much the best of a group has more at most, and
+        ``near_in``, the groups in which that is less than ``near``.
+    """
+    keys = ["task", "method"]
+    pooled, groups = (part for _, part in table.groupby(table["scanners"] != "pooled"))
+    worst = groups.groupby(keys)["behind"].max().rename("worst")
+    close = groups[groups["behind"] < near].groupby(keys)["scanners"].agg(", ".join)
+    found = pooled[pooled["behind"] < near].join(worst, on=keys).fillna({"worst": 1.0})
+    found = found.sort_values(["worst", "behind"], kind="stable").drop_duplicates("task")
+    found = found.sort_index().join(close.rename("near_in"), on=keys)
+    found = found.fillna({"near_in": "no group"})
+    return found.drop(columns="scanners").reset_index(drop=True)
 
 
 def _is_more(name):
