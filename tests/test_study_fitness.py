@@ -280,6 +280,27 @@ def test_a_metric_that_wins_in_every_group_is_named():
     assert found.loc["b", ["x", "y"]].tolist() == ["q", "p"]
 
 
+def test_the_advice_follows_real_clouds_and_then_the_worst_group():
+    behind = {"p": (0.0, 0.0, 0.5), "q": (0.02, 0.1, 0.1), "r": (0.01, 0.02, 0.2), "s": (0.2, 0, 0)}
+    table = pd.DataFrame(
+        [("a", one, group, off)
+         for one, row in behind.items()
+         for group, off in zip(("pooled", "x", "y"), row, strict=True)],
+        columns=["task", "method", "scanners", "behind"],
+    )  # fmt: skip
+    real = pd.DataFrame({"data": "road", "task": "a", "method": list("pqrs")})
+    real = real.assign(spearman=[0.5, 0.5, 0.5, 0.9], low=0.4, high=[0.7, 0.7, 0.95, 0.95])
+    chosen = study.advice(table, real.assign(low=[0.4, 0.4, 0.4, 0.3])).iloc[0]
+    assert (chosen["method"], chosen["worst"], chosen["near_in"]) == ("q", 0.1, "none")
+    assert chosen["contradicted_by"] == "none"
+    real["low"] = [0.4, 0.4, 0.4, 0.8]  # p and q are behind s on the road
+    assert study.contradictions(real)["method"].tolist() == ["p", "q"]
+    chosen = study.advice(table, real).iloc[0]
+    assert (chosen["method"], chosen["near_in"]) == ("r", "x")
+    chosen = study.advice(table[table["method"] != "r"], real).iloc[0]
+    assert (chosen["method"], chosen["contradicted_by"]) == ("q", "road")
+
+
 def test_a_chart_reaches_as_far_as_things_agree_with_it():
     far = np.repeat([4.0, 8.0, 12.0, 20.0], 5)
     table = pd.DataFrame({"distance_m": far, "metric": "e95", "prediction": "p", "turn_deg": 0.0})

@@ -12,6 +12,7 @@ from mmqa_lab.studies.fitness.acquisitions import RANGES, acquisitions, beam_rad
 from mmqa_lab.studies.fitness.comparison import (
     advice,
     by_kind,
+    contradictions,
     correlations,
     halves,
     matrix,
@@ -25,8 +26,8 @@ from mmqa_lab.studies.fitness.tasks import FREE, GOOD, TASKS, errors_of
 
 __all__ = [
     "FREE", "GOOD", "RANGES", "TASKS", "acquisitions", "advice", "bench", "by_kind",
-    "correlations", "drive", "halves", "make", "matrix", "measured", "real_boards",
-    "road_squares", "thresholds", "winners", "written",
+    "contradictions", "correlations", "drive", "halves", "make", "matrix", "measured",
+    "real_boards", "road_squares", "thresholds", "winners", "written",
 ]  # fmt: skip
 
 SQUARE = np.array([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0]])

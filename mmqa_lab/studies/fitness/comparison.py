@@ -9,7 +9,17 @@ from mmqa_lab.metrics import METRICS
 from mmqa_lab.spacing import exempt
 from mmqa_lab.studies.fitness.tasks import GOOD
 
-__all__ = ["FEW", "advice", "by_kind", "correlations", "halves", "matrix", "measured", "thresholds"]
+__all__ = [
+    "FEW",
+    "advice",
+    "by_kind",
+    "contradictions",
+    "correlations",
+    "halves",
+    "matrix",
+    "measured",
+    "thresholds",
+]
 __all__ += ["winners", "written"]
 
 FEW = 10
@@ -193,33 +203,52 @@ def winners(table, groups, near=0.03):
     return wide
 
 
-def advice(table, near=0.03):
+def contradictions(real):
+    """Return which metrics real clouds show to be behind another one.
+
+    ``real`` has :func:`correlations` of real clouds, with their names as ``data``. A metric is
+    behind if its interval ends below that of the best one of the cloud.
+    """
+    keys = ["data", "task"]
+    best = real.loc[real.groupby(keys, sort=False)["spearman"].idxmax()]
+    both = real.merge(best, on=keys, suffixes=("", "_best"))
+    columns = [*keys, "method", "spearman", "high", "method_best", "spearman_best", "low_best"]
+    return both.loc[both["high"] < both["low_best"], columns].reset_index(drop=True)
+
+
+def advice(table, real, near=0.03):
     """Return which metric to ask for in each task by somebody who does not know the scanner.
 
-    Of the metrics that are less than ``near`` behind the best of the task over all acquisitions, it
-    is the one that is least behind in the group of scanners where it does worst.
+    Of the metrics that are less than ``near`` behind the best of the task over all acquisitions,
+    it is the one that fewest real clouds contradict, and of these the one that is least behind in
+    the group of scanners where it does worst.
 
     Parameters
     ----------
     table : DataFrame
         From :func:`by_kind`, with all acquisitions as the group ``pooled``.
+    real : DataFrame
+        As of :func:`contradictions`.
     near : float
 
     Returns
     -------
     DataFrame
-        The rows of ``pooled`` with ``worst``, how much the best of a group has more at most, and
-        ``near_in``, the groups in which that is less than ``near``.
+        The rows of ``pooled`` with ``worst``, how much the best of a group has more at most;
+        ``near_in``, the groups in which that is less than ``near``; ``contradicted_by``.
     """
     keys = ["task", "method"]
     pooled, groups = (part for _, part in table.groupby(table["scanners"] != "pooled"))
     worst = groups.groupby(keys)["behind"].max().rename("worst")
     close = groups[groups["behind"] < near].groupby(keys)["scanners"].agg(", ".join)
-    found = pooled[pooled["behind"] < near].join(worst, on=keys).fillna({"worst": 1.0})
-    found = found.sort_values(["worst", "behind"], kind="stable").drop_duplicates("task")
-    found = found.sort_index().join(close.rename("near_in"), on=keys)
-    found = found.fillna({"near_in": "no group"})
-    return found.drop(columns="scanners").reset_index(drop=True)
+    against = contradictions(real).groupby(keys)["data"].agg(["size", ", ".join])
+    against.columns = ["sets", "contradicted_by"]
+    found = pooled[pooled["behind"] < near].join(worst, on=keys).join(against, on=keys)
+    found = found.join(close.rename("near_in"), on=keys)
+    nothing = {"worst": 1.0, "sets": 0, "contradicted_by": "none", "near_in": "none"}
+    found = found.fillna(nothing).sort_values(["sets", "worst", "behind"], kind="stable")
+    found = found.drop_duplicates("task").sort_index()
+    return found.drop(columns=["scanners", "sets"]).reset_index(drop=True)
 
 
 def _is_more(name):
