@@ -13,7 +13,14 @@ from PIL import Image
 from mmqa_lab.io import write_atomically
 from mmqa_lab.published.ledger import summary
 from mmqa_lab.run import write_record
-from mmqa_lab.run.notebooks import _renew_readme, code_hash, machine_speed, store, stored_seconds
+from mmqa_lab.run.notebooks import (
+    _renew_advice,
+    _renew_readme,
+    code_hash,
+    machine_speed,
+    store,
+    stored_seconds,
+)
 from mmqa_lab.studies import STUDIES, TOOLS, notebooks_folder
 
 LARGEST_BYTES = 1_000_000
@@ -53,6 +60,25 @@ class Ran:
 
     def __init__(self, folder):
         self.path = folder / "99_ran.ipynb"
+
+
+def test_the_readme_advises_what_real_clouds_do_not_contradict(tmp_path):
+    (tmp_path / "README.md").write_text(
+        "Ask:\n\n| task | ask for |\n|---|---|\n| old | f |\n\nEnd.\n"
+    )
+    found = pd.DataFrame({"words": list("abcde"), "method": 4 * ["e95"] + ["density"]})
+    found["by_construction"] = ["e95", None, None, None, None]
+    found["contradicted_by"] = ["none", "road", "none", "none", "none"]
+    found["near_in"] = ["beams", "beams", "none", "beams", "beams"]
+    found[["limit", "balanced", "low", "high"]] = [30.0, 0.8, 0.7, 0.9]
+    for _ in range(2):
+        _renew_advice(tmp_path / "README.md", found)
+    assert (tmp_path / "README.md").read_text().splitlines()[4:] == [
+        "| d | `e95` at most 30 mm | 0.80 (0.70 to 0.90) | beams |",
+        "| e | `density` at least 30 points/m2 | 0.80 (0.70 to 0.90) | beams |",
+        "",
+        "End.",
+    ]
 
 
 def test_what_is_stored_is_small_and_needs_no_kernel(tmp_path):

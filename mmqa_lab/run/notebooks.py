@@ -23,6 +23,7 @@ from scipy.spatial import cKDTree
 
 from mmqa_lab import plots
 from mmqa_lab.io import write_atomically
+from mmqa_lab.metrics import METRICS
 from mmqa_lab.metrics.supports import CURVES
 from mmqa_lab.published.ledger import collect, summary
 from mmqa_lab.run.pages import ANSWERS, LEDGER, notebook_page, stored_answers
@@ -52,6 +53,9 @@ WIDTH_PX, THUMBNAIL_PX = 1000, 280
 # Figures of a chart against tasks, for the metric cards, and the curves behind metrics.supports,
 # in the folder of results.
 TASKS, SUPPORTED = "fitness/tasks_by_figures.csv", "fitness/supported.csv"
+
+# What the README advises, in the folder of results, and from which balanced accuracy.
+ADVICE, LEAST_ADVISED = "fitness/advice.csv", 0.6
 
 # The first figure of the README, in the folder of results.
 KEY_FIGURE = "fitness/six_clouds.png"
@@ -165,6 +169,8 @@ def store(notebooks, folder, studies):
     for name, place in {TASKS: notebooks / Path(TASKS).name, SUPPORTED: CURVES}.items():
         if (folder / name).is_file():
             write_atomically(place, pd.read_csv(folder / name))
+    if (folder / ADVICE).is_file():
+        _renew_advice(notebooks.parent / "README.md", pd.read_csv(folder / ADVICE))
     if (folder / KEY_FIGURE).is_file():
         _store_figure(folder / KEY_FIGURE, notebooks / "key_figure.png", 1000)
         rows = collect(folder)
@@ -186,6 +192,26 @@ def _renew_readme(readme, answers, counts=None):
         said += f"printed digits and agree with {counts['consistent']} more; "
         said += f"{counts['differs']} differ"
         text = re.sub(r"print \d+ results\. Ours equal [^;]*; \d+ differ", said, text)
+    write_atomically(readme, text)
+
+
+def _renew_advice(readme, found):
+    """Write the advised metrics of tasks into the README's table.
+
+    Tasks are left out that are functions of a metric, that a real cloud contradicts, or of which a
+    metric is near the best for no group of scanners or decides hardly better than a coin.
+    """
+    known = found["by_construction"].isna() & (found["contradicted_by"] == "none")
+    known &= (found["near_in"] != "none") & (found["low"] > LEAST_ADVISED)
+    rows = ["| task | ask for | balanced accuracy | best for |", "|---|---|---|---|"]
+    for row in found[known].itertuples():
+        one = METRICS[row.method]
+        end = {"less": "at most", "more": "at least"}[one.better]
+        limit = f"`{row.method}` {end} {row.limit:.2g} {one.unit}"
+        score = f"{row.balanced:.2f} ({row.low:.2f} to {row.high:.2f})"
+        rows.append(f"| {row.words} | {limit} | {score} | {row.near_in} |")
+    text = readme.read_text(encoding="utf-8")
+    text = re.sub(r"\| task \| ask for(?:[^\n]+\n)+", "\n".join([*rows, ""]), text)
     write_atomically(readme, text)
 
 
