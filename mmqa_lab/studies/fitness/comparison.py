@@ -238,7 +238,8 @@ def advice(table, real, near=0.03):
         ``near_in``, the groups in which that is less than ``near``; ``contradicted_by``.
     """
     keys = ["task", "method"]
-    pooled, groups = (part for _, part in table.groupby(table["scanners"] != "pooled"))
+    whole = table["scanners"] == "pooled"
+    pooled, groups = table[whole], table[~whole]
     worst = groups.groupby(keys)["behind"].max().rename("worst")
     close = groups[groups["behind"] < near].groupby(keys)["scanners"].agg(", ".join)
     against = contradictions(real).groupby(keys)["data"].agg(["size", ", ".join])
