@@ -92,7 +92,7 @@ def map_cloud(
     Dataset
         Dimensions ``y``, ``x`` (centres of the cells, m), and the variables of ``FIGURES`` with
         their units; NaN if not measurable. The attribute ``remarks`` tells what speaks against
-        them.
+        them. e95 is of 30 places, so it scatters by .85 to 1.18 of that of many.
 
     Raises
     ------

@@ -106,7 +106,8 @@ def table(
         ``metric``, ``value``, ``low``, ``high`` (95 %), ``unit``, ``better``, ``source`` and
         ``remarks`` (why there is no value). Intervals are those of
         :meth:`~mmqa_lab.chart_cloud.CloudQuality.intervals`, from waves over the scan lines, for
-        the figures that it has; the other metrics have none.
+        the figures that it has. The other metrics have none: lines that a bootstrap draws twice
+        fall onto each other, which changes every gap.
 
     Raises
     ------

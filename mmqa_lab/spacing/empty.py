@@ -116,8 +116,9 @@ def empty_space(xy: ArrayLike, *, outline: object = None, rank: int = 1) -> Empt
     Notes
     -----
     The nearest point of a place near the outline may lie beyond it. So a place counts up to its
-    distance from the outline only (Kaplan-Meier estimator of Baddeley and Gill). Coincident points
-    count each. e95 of random points is sqrt(ln 20 / (pi density)), 0.98 / sqrt(density).
+    distance from the outline only (Kaplan-Meier estimator of Baddeley and Gill). An outline that is
+    narrower than three times the result gives too small a one, or none. Coincident points count
+    each. e95 of random points is sqrt(ln 20 / (pi density)), 0.98 / sqrt(density).
 
     References
     ----------
