@@ -207,7 +207,7 @@ FAULTS = (
     ("repeatability", "LIMIT * self.s_r", "LIMIT * self.s_r**2", "test_repeatability.py"),
     ("simulate", "np.array([np.sin(h), np.cos(h), 0.0])", "np.array([np.cos(h), np.sin(h), 0.0])",
      "test_simulate_trajectories.py"),
-    ("simulate", "reach = (sizes[k, i] + wide) / abs(ahead)", "reach = sizes[k, i] / 2 / abs(ahead)",
+    ("simulate", "reach = (sizes[k, i] + wide) / abs(ahead)", "reach = sizes[k, i] / 2",
      "test_simulate_scan.py"),
     ("simulate", "np.linalg.norm(whole.half, axis=1)", "whole.half.min(axis=1)",
      "test_simulate_scan.py"),
