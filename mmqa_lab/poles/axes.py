@@ -51,7 +51,8 @@ def fit_axes(thin, xy, scatter):
             s, t = sums(w * place[:, i]), sums(w * rise * place[:, i])
             axes[:, i], axes[:, 2 + i] = (w2 * s - w1 * t) / det, (w0 * t - w1 * s) / det
         axes[:, 2:] = axes[:, 2:].clip(-MAX_LEAN, MAX_LEAN)
-    centre, radius, rough = circles(a, place, k)
+    own = scatter[a] > SCATTER_M[1]
+    centre, radius, rough = circles(a[own], place[own], k)
     wide = (scatter > SCATTER_M[1]) & (radius > 0.25) & (rough < 0.18 * radius)
     axes[wide] = np.column_stack([centre, 0 * centre])[wide]
     return np.column_stack([xy + axes[:, :2], axes[:, 2:], middle])
@@ -67,8 +68,9 @@ def circles(a, off, k, steps=5, hold=0.02):
 
     def solved(terms, right, weight, hold):
         """Coefficients (k, 3) of the terms by weighted and damped least squares."""
-        m = np.array([[mean(weight * s * t) for t in terms] for s in terms]).transpose(2, 0, 1)
-        m[:, range(3), range(3)] += hold
+        m = np.empty((k, 3, 3))
+        for i, j in zip(*np.triu_indices(3), strict=True):
+            m[:, i, j] = m[:, j, i] = mean(weight * terms[i] * terms[j]) + hold * (i == j)
         sums = np.stack([mean(weight * s * right) for s in terms], -1)
         return np.linalg.solve(m, sums[..., None])[..., 0]
 
