@@ -6,11 +6,13 @@ import shlex
 import subprocess
 import sys
 import venv
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pandas as pd
+import pyproj
 import pytest
 
 from mmqa_lab import chart_cloud, charts, commands, io, samples, simulate
@@ -104,21 +106,35 @@ def test_a_command_is_its_function():
     assert table["f"].item() == quality.f
 
 
-def test_calibrate_writes_corrected_clouds(call, tmp_path):
-    street = make_test_field(length_m=40, seed=1)
-    head = simulate.Scanner(pulse_rate_hz=2e4, mirror_frequency_hz=50, heading_deg=45, tilt_deg=30)
+def test_calibrate_takes_sbet_with_its_las_and_writes_corrected_clouds(call, tmp_path):
+    street, zone = make_test_field(length_m=40, seed=1), pyproj.CRS(25832)
+    choices = {"pulse_rate_hz": 2e4, "mirror_frequency_hz": 50, "heading_deg": 45, "tilt_deg": 30}
+    head = simulate.Scanner(**choices, boresight_deg=(0.0, 0.4, 0.3))
     drives = drive_test_field(street, simulate.System("one head", (head,)), seed=4)
-    rows = []
+    away = np.array([448_000.0, 5_411_000.0, 100.0]) - drives[0][0].points[0]
     for name, (cloud, path) in zip(("there", "back"), drives, strict=True):
-        io.write_cloud(tmp_path / f"{name}.laz", cloud)
-        rows += [*np.column_stack([path.time, path.position, path.heading])]
-    columns = ["time", "x", "y", "z", "heading"]
-    pd.DataFrame(rows, columns=columns).to_csv(tmp_path / "path.csv", index=False)
-    street.poles.to_csv(tmp_path / "posts.csv", index=False)
-    line = "calibrate there.laz back.laz --trajectory path.csv --poles posts.csv --out corrected"
-    status, out, _ = call(line)
+        moved = replace(cloud, points=cloud.points + away, crs=zone)
+        io.write_cloud(tmp_path / f"{name}.laz", moved)
+        places = path.position + away
+        to = pyproj.Transformer.from_crs(zone, 4326, always_xy=True)
+        globe = np.array(to.transform(*places[:, :2].T))
+        north = pyproj.Proj(zone).get_factors(*globe).meridian_convergence
+        rows = np.zeros((len(places), 17))
+        rows[:, 0], rows[:, 3], rows[:, 10] = path.time, places[:, 2], 0.3  # the wander angle
+        angles = [*globe[::-1], path.roll, path.pitch, path.heading + north]
+        rows[:, [1, 2, 7, 8, 9]] = np.radians(angles).T + [0, 0, 0, 0, 0.3]
+        rows.tofile(tmp_path / f"{name}.sbet")
+    posts = street.poles.copy()
+    posts[["x_m", "y_m", "z_m"]] += away
+    posts.to_csv(tmp_path / "posts.csv", index=False)
+    line = "calibrate there.laz back.laz --trajectory there.sbet --trajectory back.sbet"
+    status, out, _ = call(f"{line} --poles posts.csv --out corrected --csv found.csv")
     assert status == 0
     assert "heading_deg" in out
+    found = pd.read_csv(tmp_path / "found.csv").set_index("parameter")["value"]
+    assert found[["roll_deg", "pitch_deg", "heading_deg"]].tolist() == pytest.approx(
+        [0, 0.4, 0.3], abs=0.005
+    )
     assert len(io.read_cloud(tmp_path / "corrected" / "1_there.laz")) == len(drives[0][0])
 
 

@@ -25,7 +25,7 @@ def wall(rng):
     return np.round(rng.random((300, 3)) * [2, 0.01, 2], 4)
 
 
-def test_the_scans_of_an_e57_stand_at_their_poses(tmp_path, wall, capsys):
+def test_the_scans_of_an_e57_stand_at_their_poses(tmp_path, wall, capsys, monkeypatch):
     file = pye57.E57(str(tmp_path / "three.e57"), mode="w")
     half = np.sqrt(0.5)
     for number in range(3):
@@ -62,6 +62,9 @@ def test_the_scans_of_an_e57_stand_at_their_poses(tmp_path, wall, capsys):
             assert (rows[0]["kind"], rows[0]["points"]) == ("E57 cloud, scans: 3", 900)
         if words[0] == "evaluate":
             assert rows[0]["n"] == 300
+    monkeypatch.setattr("mmqa_lab.io.clouds.LARGE_BYTES", 10_000)
+    with pytest.warns(UserWarning, match=r"three\.e57 of .* GB is read as a whole, E57 and PTX sc"):
+        next(io.iterate_cloud(tmp_path / "three.e57"))
     whole = (tmp_path / "three.e57").read_bytes()
     (tmp_path / "cut.e57").write_bytes(whole[: len(whole) // 2])
     with pytest.raises(ValueError, match=r"damaged.*Must be a complete E57 file"):
@@ -127,6 +130,8 @@ def test_real_files_of_other_programs(real):
         cloud = io.read_cloud(real(f"public/{name}"))
         assert len(cloud) == count
         assert column in cloud
+    with pytest.warns(UserWarning, match="Not read of .*normalX"):
+        assert len(io.read_cloud(real("public/testWithNormals.e57"))) == 2
     moved = io.read_cloud(real("public/translationWithoutRotation.e57"))
     assert moved.points[[0, -1]].tolist() == [[4, 5, 6], [5, 6, 6]]
 

@@ -24,6 +24,9 @@ __all__ = ["CLOUD_ENDINGS", "iterate_cloud", "read_cloud"]
 # Columns that other functions ask for, by their letters alone, as programs name them.
 KNOWN_COLUMNS = {name.replace("_", ""): name for name in ("gps_time", "scan_line", *FLAGS)}
 
+# Files larger than this of forms that are not read in pieces are named before they are read.
+LARGE_BYTES = 2_000_000_000
+
 TEXT_ENDINGS = (".txt", ".csv", ".xyz", ".pts", ".asc")
 CLOUD_ENDINGS = (*LAS_ENDINGS, ".e57", ".pcd", ".ply", ".ptx", *TEXT_ENDINGS)
 
@@ -122,6 +125,10 @@ def iterate_cloud(
         refuse_unread(path, "cloud")
         check_choice(ending, f"cloud {path} with ending", CLOUD_ENDINGS)
         form = ending[1:]
+    size = 0 if form in ("copc", "las", "laz") else path.stat().st_size
+    if size > LARGE_BYTES:
+        told = f"{path} of {size / 1e9:.3g} GB is read as a whole, E57 and PTX scan by scan"
+        warnings.warn(f"{told}. LAS and LAZ are read in pieces.", stacklevel=3)
     scanned, others = {"e57": e57_pieces, "ptx": ptx_pieces}, {"pcd": read_pcd, "ply": read_ply}
     if address:
         pieces = copc_pieces(address, columns, within)

@@ -94,14 +94,16 @@ def _cloud(path, form):
 
 def _raster(path):
     """What a raster contains; nothing of an image without a place."""
-    with open_raster(path, "raster") as file:
+    with open_raster(path, "raster", first=True) as (file, names):
         place, crs = file.transform, system_of(file, f"raster {path}")
         if place.is_identity:
             return {}
         west, south, east, north = file.bounds
-        size = f"{file.width} x {file.height} cells of {abs(place.a):g}, {file.count} bands"
+        size = f"{file.width} x {file.height} cells of {abs(place.a):g}"
+        size += f", {len(names) or file.count} bands"
     box = {"x_low_m": west, "x_high_m": east, "y_low_m": south, "y_high_m": north}
-    return {"kind": "raster", "image": size, **box, "crs": "" if crs is None else crs.name}
+    named = {"columns": listed(names)} if names else {}
+    return {"kind": "raster", "image": size, **box, "crs": crs.name if crs else "", **named}
 
 
 def _is_path(path):

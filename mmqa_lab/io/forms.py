@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from mmqa_lab._checks import needs, refuse, type_step
+from mmqa_lab._checks import listed, needs, refuse, type_step
 from mmqa_lab.io.files import HEAD, plain_text, reading
 from mmqa_lab.io.marks import Piece
 from mmqa_lab.io.signatures import PTX_HEAD
@@ -48,10 +48,9 @@ def e57_pieces(path, scan=None):
             continue
         with reading(path, "cloud", E57):
             places = CARTESIAN if CARTESIAN[0] in header.point_fields else SPHERICAL
-            known = pye57.e57.SUPPORTED_POINT_FIELDS
-            data, buffers = file.make_buffers(
-                [field for field in header.point_fields if field in known], header.point_count
-            )
+            fields = [f for f in header.point_fields if f in pye57.e57.SUPPORTED_POINT_FIELDS]
+            unread = listed(sorted({*header.point_fields} - {*fields}))
+            data, buffers = file.make_buffers(fields, header.point_count)
             reader = header.points.reader(buffers)
             read = reader.read() if header.point_count else 0
             reader.close()
@@ -60,6 +59,8 @@ def e57_pieces(path, scan=None):
                 stored = pye57.utils.convert_spherical_to_cartesian(stored)
             pose = header.has_pose()
             points = file.to_global(stored, header.rotation, header.translation) if pose else stored
+        if unread:
+            warnings.warn(f"Not read of {what}: {unread}.", stacklevel=4)
         found = f"{read} points where its header says {header.point_count}"
         refuse(read != header.point_count, what, found, "as many")
         invalid = data.pop(places[3], np.zeros(read, np.int8)) != 0

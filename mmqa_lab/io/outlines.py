@@ -193,7 +193,8 @@ def _of_gis(path, what):
     import shapely
 
     needs("files", "pyogrio")
-    with reading(path, "polygon", "outlines of a GIS"), tempfile.TemporaryDirectory() as folder:
+    must = f"outlines of a GIS ({path.suffix})"
+    with reading(path, "polygon", must), tempfile.TemporaryDirectory() as folder:
         for part in path.parent.glob(f"{path.stem}.*"):  # an index is made beside a shapefile
             if part == path or path.suffix.lower() == ".shp":
                 shutil.copy(part, folder)

@@ -100,8 +100,13 @@ def read_heights(path: str | os.PathLike, *, crs: object = None) -> np.ndarray:
 
 
 @contextlib.contextmanager
-def open_raster(path: str | os.PathLike, name: str) -> Iterator[Any]:
-    """Hold a raster open as rasterio's dataset; of several in a file the first, or a sentence."""
+def open_raster(
+    path: str | os.PathLike, name: str, *, first: bool = False
+) -> Iterator[tuple[Any, list[str]]]:
+    """Hold a raster open as rasterio's dataset, with the names of all in its file.
+
+    Of several the ``first`` is held, else they are refused with their names.
+    """
     rasterio, what = needs("files", "rasterio"), f"{name} {path}"
     logging.getLogger("rasterio").setLevel(logging.CRITICAL)  # a sentence says what is wrong
     with contextlib.ExitStack() as held:
@@ -110,19 +115,19 @@ def open_raster(path: str | os.PathLike, name: str) -> Iterator[Any]:
             driver = _driver(path) or "GTiff"
             file = held.enter_context(rasterio.open(path, driver=driver))
             inside = file.subdatasets
-            if not file.count and len(inside) == 1:
+            if not file.count and (len(inside) == 1 or (first and inside)):
                 file = held.enter_context(rasterio.open(inside[0], driver=driver))
-        several = ", ".join(one.rpartition(":")[2] for one in inside[:9])
-        refuse(not file.count, what, f"several rasters, {several}", RASTERS)
+        names = [one.rpartition(":")[2] for one in inside]
+        refuse(not file.count, what, f"several rasters, {', '.join(names[:9])}", RASTERS)
         found = f"{file.width} x {file.height} x {file.count} cells"
         refuse(file.width * file.height * file.count > MOST_VALUES, what, found, "of fewer")
-        yield file
+        yield file, names
 
 
 def _raster_cloud(path):
     """The cells of a raster that have a height, and the number of all."""
     what = f"reference {path}"
-    with open_raster(path, "reference") as file:
+    with open_raster(path, "reference") as (file, _):
         pages = len(file.subdatasets)
         refuse(file.count != 1, what, f"{file.count} bands", RASTERS)
         one_bit = file.tags(1, ns="IMAGE_STRUCTURE").get("NBITS") == "1"

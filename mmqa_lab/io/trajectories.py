@@ -96,6 +96,7 @@ def read_trajectory(
     [[0.5, 2.0, 90.0]]
     """
     what, raw = f"trajectory {path}", path_table(path)
+    what += " (SBET)" if str(path).lower().endswith(SBET_ENDINGS) else ""
     used = coordinate_columns(raw.columns)
     table = raw[used].set_axis(PATH_COLUMNS[1 : 1 + len(used)], axis=1)
     plain = {_name_and_unit(column): column for column in reversed(raw.columns)}
