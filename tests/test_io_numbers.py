@@ -74,7 +74,7 @@ def test_titles_above_the_header_are_passed_over(tmp_path, title):
 
 
 @pytest.mark.parametrize(("text", "column"), [
-    ("code,x,y,z\n#N/A,1,2,3\nok,4,5,6\n#REF!,7,8,9\n", "code"),
+    ("code,x,y,z\n#NV,1,2,3\nok,4,5,6\n#REF!,7,8,9\n", "code"),
     ("id,x,y,z\nP#0,1,2,3\n12//1,4,5,6\nP# 2,7,8,9\n", "id"),
     ("No#,x,y,z\n0,1,2,3\n1,4,5,6\n2,7,8,9 # the last\n", "No#"),
     ("Levelled 2025,,,\nid,x,y,z\n0,1,2,3\n1,4,5,6\n2,7,8,9\n", "id"),

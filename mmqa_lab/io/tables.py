@@ -45,7 +45,7 @@ NO_NUMBER = 1e100
 
 # What C and Fortran write for no number, besides what pandas knows; what spreadsheets write.
 NO_NUMBERS = ("nan(ind)", "-nan(ind)", "nan(snan)", "-nan(snan)")
-ERROR_WORDS = re.compile(rb"#(N/A|REF!|VALUE!|DIV/0!|NAME\?|NUM!|NULL!)|-?1\.#[A-Z]+\d*")
+ERROR_WORDS = re.compile(rb"#([A-Z/0]+[!?]|N/[AD]|NV\b)|-?1\.#[A-Z]+\d*")
 
 # Excel's line that names the separator, and a unit in a row of units.
 SEPARATOR_LINE = re.compile(rb'"?sep=."?\s*')
