@@ -96,7 +96,7 @@ def check_answer(sealed, scope):
     NotRight
         If a name has no value yet, or a check does not hold.
     """
-    number, answers, check = json.loads(zlib.decompress(base64.b64decode(sealed)))
+    number, answers, check = unsealed(sealed)
     missing = [name for name in answers if scope.get(name, ...) is ...]
     if missing:
         raise NotRight(f"{number}: give {missing[0]} a value.")
@@ -105,8 +105,8 @@ def check_answer(sealed, scope):
         if isinstance(scope[name], str):
             with contextlib.suppress(ValueError):
                 scope[name] = float(scope[name].replace(",", "."))
+    known, asked = parts(check, answers)
     named = [name for name in answers if name != NUMBER]
-    known, asked = _parts(check, named)
     try:
         exec(known, scope)
         exec(asked, dict(scope))
@@ -123,9 +123,14 @@ def check_answer(sealed, scope):
     print(f"{number}: right.")
 
 
-def _parts(check, names):
+def unsealed(sealed):
+    """The number of an exercise, the names that its check reads, and the check."""
+    return json.loads(zlib.decompress(base64.b64decode(sealed)))
+
+
+def parts(check, answers):
     """Code of a check that is the same for all answers, which may take long, and what is left."""
-    known, asked, theirs, read = [], [], set(names), set()
+    known, asked, theirs, read = [], [], set(answers) - {NUMBER}, set()
     for node in ast.parse(check).body:
         words = [one for one in ast.walk(node) if isinstance(one, ast.Name)]
         used = {one.id for one in words if isinstance(one.ctx, ast.Load)}
