@@ -99,18 +99,17 @@ def odd_target(design, seen, std, *, stated):
     freedom = count - 1 - terms
     if freedom < 1:
         return None
-    chance = np.ones(count)
-    for k in range(count):
-        others = np.arange(count) != k
-        scaled = design[others] / std[others, None]
-        inverse = np.linalg.pinv(scaled.T @ scaled)
-        known = inverse @ (scaled.T @ (seen[others] / std[others]))
-        left = (seen[others] - design[others] @ known) / std[others]
-        variance = std[k] ** 2 + design[k] @ inverse @ design[k]
-        if not stated:
-            variance *= max(left @ left / freedom, 1e-24)
-        size = abs(seen[k] - design[k] @ known) / np.sqrt(variance)
-        chance[k] = 2 * t.sf(size, np.inf if stated else freedom)
+    scaled, target = design / std[:, None], seen / std
+    basis = np.linalg.qr(scaled)[0]
+    apart = 1 - np.square(basis).sum(axis=1)  # what the others do not settle of each
+    apart = np.maximum(apart, 1e-12)
+    left = target - basis @ (basis.T @ target)
+    beyond = np.square(left) / apart  # what the misfit loses without each
+    variance = np.ones(count)
+    if not stated:
+        rounding = np.square(1e-13 * np.abs(target).max())
+        variance = np.maximum((np.square(left).sum() - beyond) / freedom, rounding)
+    chance = 2 * t.sf(np.sqrt(beyond / variance), np.inf if stated else freedom)
     odd = int(chance.argmin())
     return odd if chance[odd] < SURELY / count else None
 
