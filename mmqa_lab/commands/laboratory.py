@@ -340,12 +340,13 @@ def lab(*options: Annotated[str, Parameter(allow_leading_hyphen=True)]):
 
 
 FAST = ("-m", "not (long or browser)")
-TEST_CORES = ("-n=logical", "--maxprocesses=4")
+# One process more than cores, for some wait for a browser or a kernel.
+TEST_CORES = f"-n={min(4, (os.cpu_count() or 1) + 1)}"
 
 
 @app.command
 def test(*options: Annotated[str, Parameter(allow_leading_hyphen=True)], fast: bool = False):  # noqa: PT028 a command, no test
-    """Run the tests: style by ruff, then every test on up to four cores.
+    """Run the tests: style by ruff, then every test in up to four processes.
 
     Parameters
     ----------
@@ -360,7 +361,7 @@ def test(*options: Annotated[str, Parameter(allow_leading_hyphen=True)], fast: b
     steps = (
         ["ruff", "check", "."],
         ["ruff", "format", "--check", "."],
-        ["pytest", "-q", "-ra", *TEST_CORES, *FAST[: 2 * fast], *options],
+        ["pytest", "-q", "-ra", TEST_CORES, *FAST[: 2 * fast], *options],
     )
     statuses = [subprocess.call([sys.executable, "-m", *step], cwd=root) for step in steps]
     return next((status for status in statuses if status), 0)
