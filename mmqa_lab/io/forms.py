@@ -179,8 +179,10 @@ def read_ply(path):
     rows = read(data, end.end(), elements, found[0], path, order)
     axes = {name.lower(): name for name in reversed(rows.dtype.names)}
     points = np.stack([rows[axes[axis]] for axis in "xyz"], axis=1)
-    largest = np.abs(points[np.isfinite(points)]).max(initial=0)
-    step = float(np.spacing(largest)) if points.dtype == np.float32 else np.nan
+    finite = points[np.isfinite(points)]
+    single = finite.astype(np.float32)
+    stored = points.dtype == np.float32 or (not order and (finite == single).all())
+    step = float(np.spacing(np.abs(single).max(initial=0))) if stored else np.nan
     names = [name for name in rows.dtype.names if name not in {axes[axis] for axis in "xyz"}]
     columns = {name: np.array(rows[name]) for name in names}
     return points.astype(np.float64), columns, {"resolution": step}
