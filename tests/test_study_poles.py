@@ -9,7 +9,7 @@ import poles_training as training
 import pytest
 from conftest import spoiled
 
-from mmqa_lab import poles, published, stats
+from mmqa_lab import io, poles, published, stats
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.poles import learned
 from mmqa_lab.published import ledger
@@ -262,3 +262,27 @@ def test_a_real_reference_leans_as_its_points_do(rng):
     assert one[["lean_x", "lean_y"]].to_numpy(float) == pytest.approx(lean, abs=0.005)
     assert one[["x_m", "y_m"]].to_numpy(float) == pytest.approx(4.5 * lean, abs=0.03)
     assert (found.iloc[1:][["lean_x", "lean_y"]] == 0).all(axis=None)
+
+
+def test_a_threshold_of_one_half_is_used_on_the_other():
+    right = {"x_m": [0.0, 1, 2, 10, 11, 12], "y_m": 0.0, "score": [0.5, 0.5, 0.5, 0.3, 0.3, 0.3]}
+    wrong = {"x_m": [0.0, 1, 2, 10, 11, 12], "y_m": 9.0, "score": [0.4, 0.4, 0.4, 0.2, 0.2, 0.2]}
+    finds = pd.concat([pd.DataFrame(right), pd.DataFrame(wrong)], ignore_index=True)
+    kept = study.above_chosen(finds, pd.DataFrame(right).drop(columns="score"))
+    # the west is best above .4, the east above .2: right finds of the east lie below .4
+    assert (kept["x_m"] < 6).all()
+    assert kept["score"].tolist() == [0.5, 0.5, 0.5, 0.4, 0.4, 0.4]
+
+
+def test_known_poles_of_public_tiles_are_those_within_the_cloud(tmp_path, monkeypatch):
+    z, turn = np.arange(0, 3, 0.02), np.arange(150) * 2.4
+    ring = np.column_stack([0.1 * np.cos(turn), 0.1 * np.sin(turn), z])
+    floor = np.stack(np.meshgrid(*[np.arange(0, 9, 0.2)] * 2, [0.0]), axis=-1).reshape(-1, 3)
+    posts = [ring + [x, x, 0] for x in (2.0, 4.0, 6.0)]
+    listed = pd.DataFrame({"bgt_type": "lichtmast", "x": [2.0, 8, 20], "y": [2.0, 8, 20]})
+    listed.to_csv(tmp_path / "pole_street_list.csv", index=False)
+    io.write_cloud(tmp_path / "pole_street_a.laz", Cloud(np.vstack([floor, *posts])))
+    there = {path.stem: path for path in tmp_path.iterdir()}
+    monkeypatch.setattr(study.samples, "real_path", there.__getitem__)
+    row = study.public_poles(("pole_street_a",), methods=("itc",)).iloc[0]
+    assert row[["k", "n", "others"]].tolist() == [1, 2, 2]

@@ -22,9 +22,9 @@ from mmqa_lab.simulate import streets
 from mmqa_lab.simulate.scan import scan
 
 __all__ = [
-    "ASKED", "CLASSES", "CORRIDORS_M", "METHODS", "OAKLAND", "PARTS", "PRINTED", "bench",
-    "beside_published", "counts", "crowded", "differences", "f1", "oakland", "outcomes", "paired",
-    "rates", "scene",
+    "ASKED", "CLASSES", "CORRIDORS_M", "METHODS", "OAKLAND", "PARTS", "PRINTED", "PUBLIC",
+    "above_chosen", "bench", "beside_published", "counts", "crowded", "differences", "f1",
+    "oakland", "outcomes", "paired", "public_poles", "rates", "scene",
 ]  # fmt: skip
 
 CORRIDORS_M = (30.0, 15.0, 12.5)
@@ -365,3 +365,65 @@ def _lean(component):
         return 0.0, 0.0
     lean = [siegelslopes(component[axis], component["z"])[0] for axis in ("x_m", "y_m")]
     return lean if np.hypot(*lean) < 0.1 else (0.0, 0.0)
+
+
+def above_chosen(finds, references):
+    """Return the finds of both halves of a street above a threshold that was chosen on the other.
+
+    Parameters
+    ----------
+    finds : DataFrame
+        With a low threshold: ``x_m``, ``y_m``, ``score``.
+    references : DataFrame
+        As :func:`oakland` returns them; their median ``x_m`` parts the halves. The threshold of a
+        half is the one with the highest F1 there, of .05, .1, .15 and so on.
+
+    Returns
+    -------
+    DataFrame
+    """
+    middle, kept = references["x_m"].median(), []
+    for west in (True, False):
+        own, known = ((part["x_m"] < middle) == west for part in (finds, references))
+        rated = {
+            least: poles.score(finds[own & (finds["score"] >= least)], references[known]).f1
+            for least in np.arange(0.05, 0.75, 0.05)
+        }
+        kept.append(finds[~own & (finds["score"] >= max(rated, key=rated.get))])
+    return pd.concat(kept)
+
+
+PUBLIC = ("pole_street_a", "pole_street_b", "street_tree_a", "street_tree_b")
+"""Public clouds with known poles: two tiles with a list of lamps, signs, trees, and two stems."""
+
+
+def public_poles(names=PUBLIC, methods=("itc", "learned")):
+    """Return how many known poles of the public clouds each method finds.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Those of ``PUBLIC`` that ``samples.fetch`` has brought, ``pole_street_list`` with them.
+    methods : sequence of str
+        Names of detectors.
+
+    Returns
+    -------
+    DataFrame
+        ``cloud``, ``method``, ``k`` found of ``n`` known, ``value``, ``low``, ``high`` (Wilson),
+        and ``others``, the finds that are not listed: the lists need not be complete.
+    """
+    rows = []
+    for name in names:
+        cloud = io.read_cloud(samples.real_path(name), columns=())
+        plan = pd.DataFrame(cloud.points[:, :2], columns=["x_m", "y_m"])
+        known = plan.median().to_frame().T  # of a cloud that is one stem
+        if name.startswith("pole_street"):
+            known = pd.read_csv(samples.real_path("pole_street_list"))
+            known = known.rename(columns={"x": "x_m", "y": "y_m"})[["x_m", "y_m"]]
+            known = known[((known >= plan.min()) & (known <= plan.max())).all(axis=1)]
+        for method in methods:
+            score = poles.score(poles.detect(cloud, method=method), known)
+            row = {"cloud": name, "method": poles.METHODS[method], **vars(score.recall)}
+            rows.append(row | {"others": score.precision.n - score.precision.k})
+    return pd.DataFrame(rows)
