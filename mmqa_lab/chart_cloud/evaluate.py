@@ -99,7 +99,7 @@ def evaluate_cloud(
     -----
     A remark is given if the step of the coordinates is larger than sigma_MAD or than a fifth of d1.
     The step is the ``resolution`` of the cloud, or a larger step of which all coordinates are
-    multiples, from 1 mm to 0.1 m.
+    multiples, from 0.1 mm to 0.1 m.
 
     The principal axes of a nearly square selection have a random direction (a remark states this).
     f depends on the axes: scan lines along an axis and oblique scan lines give different f.
