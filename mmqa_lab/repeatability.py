@@ -96,7 +96,10 @@ def operator_polygons(
 
 
 def evaluate_selections(
-    points: ArrayLike, polygons: ArrayLike, *, axes: str | float | None = None
+    points: ArrayLike,
+    polygons: Sequence[ArrayLike] | np.ndarray,
+    *,
+    axes: str | float | None = None,
 ) -> pd.DataFrame:
     """Evaluate the selection of each polygon in the same cloud.
 

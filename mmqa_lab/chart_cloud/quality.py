@@ -334,7 +334,8 @@ class CloudQuality(Shown):
 
         self.spacing.plot(ax=spacings)
         black, away = {"color": COLOURS["black"], "ls": ":"}, 1000 * self.empty_space.distances
-        bins, each = np.linspace(*spacings.get_xlim(), 56), np.full(len(away), self.n / len(away))
+        low, high = spacings.get_xlim()
+        bins, each = np.linspace(low, high, 56), np.full(len(away), self.n / len(away))
         spacings.hist(away, bins=bins, weights=each, histtype="step", **black)
         spacings.axvline(self.e95_mm, label=f"places: $e_{{95}}$ = {self.e95_mm:.1f} mm", **black)
         spacings.legend(loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0)

@@ -278,7 +278,8 @@ def stripes(thin, xy):
     """
     north = xy[:, 1].argsort(kind="stable")
     orders = [part[:, 1].argsort(kind="stable") for part in (thin.points, thin.coarse)]
-    points, height, coarse = *(part[orders[0]] for part in thin[:2]), thin.coarse[orders[1]]
+    points, height = thin.points[orders[0]], thin.height[orders[0]]
+    coarse = thin.coarse[orders[1]]
     for first in range(0, len(xy), STRIPE):
         rows = north[first : first + STRIPE]
         ends = xy[rows[[0, -1]], 1] + [-BESIDE_M, BESIDE_M]
