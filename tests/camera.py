@@ -9,6 +9,7 @@ distance, and its remap takes steps of 1/32 of it.
 """
 
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -51,7 +52,7 @@ class Scene:
     curve: bool = False
     jpeg: int = 92
     board: float = 0.0
-    margin: float = 0.6
+    margin: float = 0.25
 
 
 SHADOW, TWO_LINES = ((0.5, 0.87, 480.0),), ((0.5, 0.87, 330.0), (0.94, -0.34, 560.0))
@@ -238,7 +239,7 @@ def _places(scene, place, size):
 def _exposed(layout, scene, place, size, background, rng):
     """Light on all samples and their places on the chart."""
     places = _places(scene, place, size)
-    printed = charts.reflectance(_printed(layout), cell=CELL_MM).astype(np.float32)
+    printed = _print_of(layout)
     # a sample is its share of the pixel, less what cells and the line between them spread
     ends = place["middle"] + np.array([[-1, -1], [1, -1], [-1, 1]]) / 2
     sides = 1 / np.linalg.norm(np.diff(_forward(ends[[1, 0, 2]], scene, place), axis=0), axis=1)
@@ -255,6 +256,12 @@ def _exposed(layout, scene, place, size, background, rng):
         board = ((places >= -wide) & (places <= np.array(limit) + wide)).all(axis=2)
         around = np.where(board, scene.white, around)
     return np.where(inside, light, around).astype(np.float32), places
+
+
+@lru_cache(maxsize=1)
+def _print_of(layout):
+    """The print of a layout in fine cells."""
+    return charts.reflectance(_printed(layout), cell=CELL_MM).astype(np.float32)
 
 
 def _printed(layout):

@@ -6,7 +6,6 @@ Where words are given they must be said; else nothing is, and the wrong figure m
 
 import re
 import warnings
-from functools import lru_cache
 from typing import NamedTuple
 
 import cv2
@@ -46,55 +45,25 @@ def of_photograph(image, figure, tmp_path, *, linear=True, **choices):
     return row[figure], row["remarks"]
 
 
-def over_truth(figure, value, length):
-    """A pixel size over that of the true lengths of the bars; other figures as they are."""
-    if not figure.startswith("pixel"):
-        return value
-    names = {"h": ["bar_horizontal"], "v": ["bar_left", "bar_right"]}[figure[6]]
-    bars = [CHART[name] for name in names]
-    return value * sum(map(length, bars)) / sum(max(bar.width, bar.height) for bar in bars)
+def through_a_lens(path):
+    """w of a photograph through a lens that moves the corners by 7.6 %."""
+    lens = Lens(size=(600, 600), radial=(-0.076, 0), pixel_mm=1.8)
+    return of_photograph(lens.photograph(CHART, seed=1), "w_v_mm", path)
 
 
-@lru_cache(maxsize=1)
-def taken(lens):
-    """The photograph of the chart through a lens."""
-    return lens.photograph(CHART, seed=1)
+def behind_a_post(path):
+    """w of a photograph of the chart behind a post over a row of line pairs."""
+    image = shoot(CHART, 4.0, seed=2, strips=((0, 500.0, 30.0),), margin=0.3).image
+    return of_photograph(image, "w_h_mm", path, linear=False)
 
 
-def bent(figure, **changes):
-    """A figure of a photograph through a lens that bends lines, or of a bent board."""
-
-    def found(path):
-        lens = Lens(size=(600, 600), **changes)
-        value, said = of_photograph(taken(lens), figure, path)
-        return over_truth(figure, value, lens.length), said
-
-    return found
-
-
-def behind(strip, figure, pixel_mm=4.0, **view):
-    """A figure of a photograph of the chart behind a beam (axis 1) or a post (axis 0)."""
-
-    def found(path):
-        shot = shoot(CHART, pixel_mm, seed=2, strips=(strip,), **view)
-        value, said = of_photograph(shot.image, figure, path, linear=False)
-        return over_truth(figure, value, shot.length), said
-
-    return found
-
-
-def side_by_side(*pixels_mm):
-    """A figure of a photograph of several charts."""
-
-    def found(path):
-        parts = [shoot(CHART, one, seed=1, mono=True, margin=0.2).image for one in pixels_mm]
-        image = np.full((max(map(len, parts)), sum(one.shape[1] for one in parts)), 90, np.uint8)
-        edges = np.cumsum([0, *(one.shape[1] for one in parts)])
-        for part, begin, end in zip(parts, edges, edges[1:], strict=False):
-            image[: len(part), begin:end] = part
-        return of_photograph(image, "pixel_v_mm", path, linear=False)
-
-    return found
+def two_charts(path):
+    """Pixel size of a photograph of two charts."""
+    parts = [shoot(CHART, one, seed=1, mono=True, margin=0.2).image for one in (5.5, 4.0)]
+    image = np.full((max(map(len, parts)), sum(one.shape[1] for one in parts)), 90, np.uint8)
+    image[: len(parts[0]), : parts[0].shape[1]] = parts[0]
+    image[:, parts[0].shape[1] :] = parts[1]
+    return of_photograph(image, "pixel_v_mm", path, linear=False)
 
 
 def edge(kind, seed, noise=0.01, **how):
@@ -229,8 +198,6 @@ def without_a_chart(path):
     return rows["pixel_v_mm"][1], rows["remarks"][0]
 
 
-LENS, BOARD = {"pixel_mm": 1.8}, {"sag": 20.0, "turn": (0, 30, 1), "pixel_mm": 2.2}
-
 ROWS = {
     # edges and stars: MTF50 over the true one
     "edge, white clipped": Row(edge("white", 1), "white is clipped", 1.16),
@@ -287,36 +254,15 @@ ROWS = {
     ),
     "d4 in metres": Row(verdict(0.02, "<=", 20.0, "d4_mm"), "in the unit of d4_mm", 1),
     # charts in photographs
-    "lens, 3.8 % at the corner": Row(bent("w_v_mm", radial=(-0.038, 0), **LENS), "", 10, 6),
-    "lens, 7.6 %": Row(bent("w_v_mm", radial=(-0.076, 0), **LENS), "bent by 1.8%", 15, 6),
-    "lens, 15 %": Row(bent("w_v_mm", radial=(-0.15, 0), **LENS), "bent by 3.7%", 15, 6),
-    "lens, 15 %, pixel": Row(
-        bent("pixel_v_mm", radial=(-0.15, 0), **LENS), "bent by 3.7%", np.nan, 1, 1e-3
-    ),
-    "lens, 40 %": Row(bent("w_v_mm", radial=(-0.4, 0.1), pixel_mm=2.1), r"bent by 7\.\d%", 15),
-    "board bent by 20 mm": Row(bent("pixel_h_mm", **BOARD), "", 1.051, 1, 1e-3),
-    "board bent by 20 mm, w": Row(bent("w_v_mm", **BOARD), "", 15, 6),
-    "beam over 44 % of a row": Row(
-        behind((1, 820.0, 17.6), "w_h_mm", 2.7), "hidden: pairs_h_20", 30
-    ),
+    "lens, 7.6 %": Row(through_a_lens, "bent by 1.8%", 15, 6),
     "post over a row": Row(
-        behind((0, 500.0, 30.0), "w_h_mm"),
+        behind_a_post,
         "hidden: pairs_h_40, .*; pairs_h_15, pairs_h_10 have contrast", 40, 20,
     ),
-    "post on a standing bar": Row(
-        behind((0, 150.0, 30.0), "pixel_v_mm", 5.4, yaw=25), "has it: bar_left$", 1.0318, 1, 5e-3
-    ),
-    "beam on both standing bars": Row(
-        behind((1, 100.0, 15.0), "pixel_v_mm", 5.4, yaw=30, pitch=10),
-        "has it: bar_left, bar_right$", np.nan, 1, 5e-3,
-    ),
     "white clipped in the photograph": Row(
-        clipped_in_photograph, "54% of the plain pixels are clipped", np.nan, 5.4, 0.01
+        clipped_in_photograph, "50% of the plain pixels are clipped", np.nan, 5.4, 0.01
     ),
-    "two charts": Row(side_by_side(5.5, 4.0), "2 charts are seen, the largest", 5.5, 4, 0.01),
-    "two charts, targets of one too small": Row(
-        side_by_side(12.0, 4.0), "2 charts are seen, the largest is measured", 12, 4, 0.01
-    ),
+    "two charts": Row(two_charts, "2 charts are seen, the largest is measured", 5.5, 4, 0.01),
     "no chart in one of two photographs": Row(
         without_a_chart, "no long bars found", np.nan, 3.2, 0.01
     ),

@@ -98,7 +98,8 @@ def bend(fit):
     """
     places, means, *_ = fit.bins
     left = fit.values - np.interp(fit.distance, places, means)
-    noise = np.var(left[np.abs(fit.distance) > 4 * fit.spread + 2])
+    far = np.abs(fit.distance) > 4 * fit.spread + 2
+    noise = np.var(left[far] if far.any() else left)
     slope = np.exp(-((fit.distance / fit.spread) ** 2) / 2) / (np.sqrt(2 * np.pi) * fit.spread)
     found = 0.0
     for size in (1, 4, max(fit.length / EDGE_BLOCKS, 5)):

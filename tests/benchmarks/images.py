@@ -56,7 +56,7 @@ def errors(quality, length):
 
 def photograph(condition, pixel_mm, seed, background):
     """What is read in one photograph as errors against its truth; None for a cut chart."""
-    view = {"seed": seed, "background": background, **CONDITIONS[condition]}
+    view = {"seed": seed, "background": background, "margin": 0.6, **CONDITIONS[condition]}
     shot = shoot(CHART, pixel_mm, **view)
     outline = shot.pixels(CHART.corners())
     if (outline < 0).any() or (outline > np.array(shot.image.shape[1::-1]) - 1).any():
