@@ -228,7 +228,7 @@ def as_text(frame):
     """A table as text of at most 100 columns, with each remark once below it."""
     if frame.empty:
         return f"{' '.join(frame.columns)}\nnone"
-    below = _sentences(frame, "remarks")
+    below = [*_sentences(frame, "remarks")]
     frame = frame.drop(columns="remarks", errors="ignore").replace("", None)
     if "missing" in frame and not frame["missing"].any():
         frame = frame.drop(columns="missing")
