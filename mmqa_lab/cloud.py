@@ -269,7 +269,7 @@ def unit_remarks(
     >>> unit_remarks(in_metres / [1e5, 1e5, 1] + [11.5, 48.1, 500])
     ['Coordinates look like degrees, but are taken for metres.']
     """
-    points = check_points(np.asarray(points), minimum=0)  # in whatever unit
+    points = check_points(points, minimum=0)
     if crs is not None and crs.is_geocentric:
         return [f"Coordinates are geocentric ({crs.name}): z is not upwards."]
     if len(points) < FEWEST_FOR_UNIT or (crs is not None and crs.is_geographic):

@@ -81,7 +81,7 @@ def test_lines_bent_too_far_are_refused_by_how_far_and_measured_with_the_lens(tm
     with pytest.raises(ValueError, match=r"straight lines are bent by \d+\.\d%") as refused:
         chart_image.evaluate_file(tmp_path / "photo.png", CHART, gamma="linear")
     share = float(str(refused.value).split("bent by ")[1].split("%")[0]) / 100
-    assert share == pytest.approx(bent_share(STRONG), rel=0.25)
+    assert share == pytest.approx(bent_share(STRONG), rel=0.35)  # by the bars that are seen
     matrix, distortion = calibration(STRONG)
     camera = {"camera_matrix": matrix.tolist(), "dist_coeff": [distortion.tolist()]}
     (tmp_path / "lens.yaml").write_text(yaml.dump(camera))

@@ -159,7 +159,7 @@ def iterate_cloud(
         cloud = Cloud(piece.points[kept], attributes, path.stem, **piece.about)
         if read == len(out):  # the first piece
             share = len(out) / max(piece.total, len(out), 1)
-            for remark in unit_remarks(cloud, crs=cloud.crs, share=share):
+            for remark in unit_remarks(cloud.points, crs=cloud.crs, share=share):
                 warnings.warn(f"{path}: {remark}", stacklevel=3)
         yield cloud
     refuse(scan is not None and not read, f"scan {scan} of cloud {path}", "none of it", "in it")

@@ -264,8 +264,9 @@ def _text(data, at, elements, wanted, path, _):
         rows = BytesIO(b"\n".join(lines[before : before + count]))
         table = pd.read_csv(rows, index_col=False, na_values=NO_NUMBERS, **layout)
         whole = [name for name in fields if table[name].notna().all()]
-        whole = [name for name in whole if name.lower() not in [*"xyz"]]  # with all their digits
-        return table.astype({name: kind[name] for name in whole}).to_records(index=False)
+        types = {name: kind[name] for name in whole}
+        types |= {name: float for name in fields if name.lower() in [*"xyz"]}  # with all digits
+        return table.astype(types).to_records(index=False)
 
 
 def _check_count(wrong, path, there, count):

@@ -274,7 +274,7 @@ def stripes(thin, xy):
     >>> line = np.arange(90.0)[:, None] * [0, 1, 0]
     >>> [(rows, part), *_] = stripes(Thin(line, line[:, 2], line), np.zeros((1, 2)))
     >>> rows.tolist(), len(part.points)
-    ([0], 7)
+    ([0], 6)
     """
     north = xy[:, 1].argsort(kind="stable")
     orders = [part[:, 1].argsort(kind="stable") for part in (thin.points, thin.coarse)]
