@@ -206,7 +206,8 @@ def _decoded(path, flags):
     if data[:2] == b"\x89P":
         _check_pixels(path, struct.unpack(">II", data[16:24].ljust(8, b"\0")))
     _say_profile(data, path)
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
+    log = cv2 if hasattr(cv2, "setLogLevel") else cv2.utils.logging  # OpenCV 4, and 5
+    log.setLogLevel(2)  # errors alone
     with reading(path, "image", IMAGES), _printed_below() as printed:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)  # any letters in the path
     refuse(DAMAGED.search(printed.getvalue()), f"image {path}", "damaged", IMAGES)

@@ -205,7 +205,7 @@ def _renew_advice(readme, found):
     """
     known = found["by_construction"].isna() & (found["contradicted_by"] == "none")
     known &= (found["near_in"] != "none") & (found["low"] > LEAST_ADVISED)
-    rows = ["| task | ask for | balanced accuracy | best for |", "|---|---|---|---|"]
+    rows = ["| task | ask for | balanced accuracy | near the best for |", "|---|---|---|---|"]
     for row in found[known].itertuples():
         one = METRICS[row.method]
         end = {"less": "at most", "more": "at least"}[one.better]
