@@ -76,12 +76,14 @@ def calibration(lens):
 
 
 def test_lines_bent_too_far_are_refused_by_how_far_and_measured_with_the_lens(tmp_path):
-    image = STRONG.photograph(CHART, seed=1)
-    cv2.imwrite(str(tmp_path / "photo.png"), np.uint8(np.clip(255 * image, 0, 255)))
-    with pytest.raises(ValueError, match=r"straight lines are bent by \d+\.\d%") as refused:
-        chart_image.evaluate_file(tmp_path / "photo.png", CHART, gamma="linear")
-    share = float(str(refused.value).split("bent by ")[1].split("%")[0]) / 100
-    assert share == pytest.approx(bent_share(STRONG), rel=0.35)  # by the bars that are seen
+    shares = []
+    for seed in range(5, 0, -1):  # the share of one photograph scatters by 3 %
+        image = STRONG.photograph(CHART, seed=seed)
+        cv2.imwrite(str(tmp_path / "photo.png"), np.uint8(np.clip(255 * image, 0, 255)))
+        with pytest.raises(ValueError, match=r"straight lines are bent by \d+\.\d%") as refused:
+            chart_image.evaluate_file(tmp_path / "photo.png", CHART, gamma="linear")
+        shares.append(float(str(refused.value).split("bent by ")[1].split("%")[0]) / 100)
+    assert np.mean(shares) == pytest.approx(bent_share(STRONG), rel=0.25)
     matrix, distortion = calibration(STRONG)
     camera = {"camera_matrix": matrix.tolist(), "dist_coeff": [distortion.tolist()]}
     (tmp_path / "lens.yaml").write_text(yaml.dump(camera))
