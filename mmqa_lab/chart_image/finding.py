@@ -46,6 +46,9 @@ GLANCE_CELLS, COARSE_CELLS = 80, 60
 """Cells along a side of the chart where a first guess is compared with the image, and where it is
 aligned first."""
 
+STRETCHES, LIKELIEST = np.arange(-4, 5) * 0.015, 3
+"""Turns (radians) and changes of size that are tried where few targets are seen; maps aligned."""
+
 ENLARGEMENTS, ENLARGED_PIXELS = (1, 2, 4), 4e6
 """Factors of enlargement for small targets, and the number of pixels up to which they are used."""
 
@@ -150,14 +153,37 @@ def _by_targets(grey, layout, found, markers, known):
     source = f"{len(groups[0])} coded targets"
     chart_map = ChartMap.from_points(places, seen, source=source, **known)
     if len(groups[0]) < 3:  # seen through a fence: the rest of the print must agree
-        guess = ChartMap.from_points(places, seen, source=source)
-        rest = confirmed(grey, layout, guess, SMALLEST_CORRELATION)
-        return None if rest is None else plain(rest[1], layout, source=source, **known)
+        near = _near(grey, layout, places, seen)
+        rest = [
+            good for one in near if (good := confirmed(grey, layout, one, SMALLEST_CORRELATION))
+        ]
+        best = max(rest, key=lambda one: one[0], default=None)
+        return None if best is None else plain(best[1], layout, source=source, **known)
     other = _other(grey, replace(chart_map, offset=(0.0, 0.0)), layout)
     charts = sum(len(group) > 1 for group in groups), 1 + (other.charts if other else 0)
     if other and side(other, layout) > side(chart_map, layout):
         chart_map = plain(other, layout, source="long bars", **known)
     return replace(chart_map, charts=max(charts))
+
+
+def _near(grey, layout, places, seen):
+    """The likeliest maps by the corners of one or two targets.
+
+    The map by them, and those from straight ahead: turned a little and larger or smaller, since a
+    target's corners are not certain enough for a whole chart.
+    """
+    # rows count downwards
+    printed, pixels = places @ [1, -1j], seen @ [1, 1j]
+    design = np.column_stack([printed, np.ones_like(printed)])
+    turn, middle = np.linalg.lstsq(design, pixels, rcond=None)[0][0], pixels.mean()
+    maps = [ChartMap.from_points(places, seen)]
+    for change in np.exp(np.add.outer(STRETCHES, 1j * STRETCHES)).ravel():
+        a = change * turn
+        start = middle - a * printed.mean()
+        rows = [[a.real, a.imag, start.real], [a.imag, -a.real, start.imag], [0, 0, 1]]
+        maps.append(ChartMap(np.array(rows)))
+    level = Level(grey, layout, maps[1 + STRETCHES.size**2 // 2], COARSE_CELLS)
+    return sorted(maps, key=level.correlation)[: -LIKELIEST - 1 : -1]
 
 
 def _other(grey, chart_map, layout):

@@ -37,9 +37,10 @@ BAR_COLUMNS = (
 SHARP_SHARE = 1 / 3
 """Error of a length in the map, over that of its two ends as seen, where the image is sharp."""
 
-END_REACH_PX, END_STEP_PX, END_OFF_PX = 6.0, 0.1, 2.0
+END_REACH_PX, END_STEP_PX, END_OFF_PX, END_WHITE = 6.0, 0.1, 2.0, 0.35
 """Pixels to either side of a bar's end that are read, in these steps: the inner half for the end,
-the outer one for black and white. How far from its place an end may be."""
+the outer one for black and white. How far from its place an end may be, and how dark the white
+beyond it, which close to the edge of a shadow is half as bright as around."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +127,8 @@ def find_tones(image: ArrayLike, layout: Layout, chart_map: ChartMap) -> Tones:
     must = f"{SMALLEST_CONTRAST:g} times the noise or more (is the chart there?)"
     refuse(not clear, "chart", shown, must)
     plain = image[white | black]
-    odd = np.where(inside & (to_white >= RIM_PX), np.abs(values - spilt), np.nan)
+    deep = max(RIM_PX, chart_map.blur_px)  # nearer to the print blur tells, not white
+    odd = np.where(inside & (to_white >= deep), np.abs(values - spilt), np.nan)
     clipped = float(((plain >= 1) | (plain <= 0)).mean())
     return Tones(values, noise, clipped, odd, np.where(inside, spilt, np.nan))
 
@@ -289,5 +291,5 @@ def _crossings(tones, chart_map, end, axis, sign, lanes):
     dark = seen[:, near] < (inside + outside)[:, None] / 2
     place = dark.mean(axis=1) * END_REACH_PX - END_REACH_PX / 2
     # else it is the end of something else
-    good = (outside - inside > 0.2) & (outside > 0.6) & (np.abs(place) < END_OFF_PX)
+    good = (outside - inside > 0.2) & (outside > END_WHITE) & (np.abs(place) < END_OFF_PX)
     return np.where(good, place, np.nan)
