@@ -111,13 +111,15 @@ def odd_star(kind, rng, n=24, radius=80):
     size = 2 * radius + 10
 
     def distance(x, y):
-        """Into bright sectors that are narrower than the dark ones."""
+        """Into bright sectors, narrower than the dark ones, or behind a lens off its axis."""
+        bright, bend = (0.25, 1e-4) if kind == "bent" else (0.21, 0)
+        x = x + bend * (x**2 + y**2)
         phase = n * np.arctan2(y, x) / (2 * np.pi)
-        to_border, r = 0.21 - np.abs(phase - np.round(phase)), np.hypot(x, y)
+        to_border, r = bright - np.abs(phase - np.round(phase)), np.hypot(x, y)
         return np.minimum(r * np.sin(2 * np.pi * to_border / n), radius - r)
 
     image = render_star((size, size), PointSpread(0.8), cycles=n, radius_px=radius)
-    if kind == "unlike":
+    if kind in ("unlike", "bent"):
         image = _render((size, size), PointSpread(0.8), distance, 0.1, 0.6)
     if kind == "sinusoidal":
         y, x = np.mgrid[:size, :size] - (size - 1) / 2
@@ -131,7 +133,7 @@ def odd_star(kind, rng, n=24, radius=80):
     ("kind", "words"),
     [
         ("plain", "^$"), ("unlike", "sectors are unlike"), ("sharpened", "^sharpened"),
-        ("sinusoidal", "no plain middle"),
+        ("sinusoidal", "no plain middle"), ("bent", "^sectors are bent"),
     ],
 )  # fmt: skip
 def test_a_star_that_no_lens_makes_says_why(kind, words, rng):

@@ -42,9 +42,10 @@ STAR_PARTS, LARGEST_DRIFT, SEEN_SHARE = 12, 1.5, 0.7
 """Parts of the circle in which the outer wave is compared: its phase may differ by so many radians,
 and its contrast in a part that is not hidden is at least this share of the others'."""
 
-UNLIKE, SQUARE, SHARPENED = 0.06, 0.6, 0.025
+UNLIKE, SQUARE, SHARPENED, BENT_PHASE = 0.06, 0.6, 0.025, 0.02
 """Share of a wave of twice the cycles; least share of the one of three times that square sectors
-have; contrast above that of the best lens: beyond them it is said."""
+have; contrast above that of the best lens; radians by which the wave is behind on one side and
+ahead on the other: beyond them it is said."""
 
 
 def check(fit):
@@ -193,16 +194,26 @@ def remarks_on_star(waves, clipped, harmonics, transfers, beyond):
     faintest = np.abs(waves).min() / np.median(np.abs(waves))
     hidden = f"a part of the star is hidden: contrast {faintest:.0%} of the others'"
     clips = f"{clipped} is clipped: MTF50 is too high"
+    bent = "sectors are bent, as by a lens: MTF50 may be off by some per cent"
     unlike = harmonics[0] > UNLIKE * transfers[0]
     round_ = transfers[1] > 0.15 and harmonics[1] < transfers[1] / 3 * SQUARE
     said = sentences(
         (faintest < SEEN_SHARE, hidden),
+        (faintest >= SEEN_SHARE and _lag(waves) > BENT_PHASE, bent),
         (clipped, clips),
         (beyond > SHARPENED, "sharpened: no lens transfers so much"),
         (unlike and not clipped, "dark and bright sectors are unlike: MTF50 is too low"),
         (round_, "sectors have no plain middle, as of a sinusoidal star: MTF50 is too low"),
     )
     return tuple(said)
+
+
+def _lag(waves):
+    """Wave of one turn in the phases around the circle, which a lens off its axis gives."""
+    if len(waves) < STAR_PARTS:
+        return 0.0
+    phase = np.angle(waves * np.conj(waves.sum()))
+    return float(np.abs(np.fft.fft(phase)[1])) * 2 / STAR_PARTS
 
 
 def clipped_side(black, white):

@@ -221,7 +221,8 @@ def measure_star(
     square = [lens(k * n / (2 * np.pi * outer)) / first for k in (2, 3)]
     waves_seen = _harmonics(pixels, place, n, outer)
     model = np.abs(lens(frequency))
-    beyond = float((scale * amplitude - model)[model > LEAST_CONTRAST].max(initial=0))
+    above = scale * (amplitude - 3 * std) - model  # more than noise
+    beyond = float(above[model > LEAST_CONTRAST].max(initial=0))
     remarks = remarks_on_star(waves, clipped, waves_seen, square, beyond)
     known = {"centre": centre, "tilt_deg": _tilt(place), "remarks": remarks}
     return StarMtf(frequency, scale * amplitude, scale * std, rings, **known)

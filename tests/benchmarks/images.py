@@ -14,7 +14,7 @@ from covered import ESTIMATES, shares, simulated
 from distorted import Lens
 from rendered import pattern_case
 from results import write_section
-from test_mtf import ODD_EDGES, odd_edge
+from test_mtf import ODD_EDGES, odd_edge, odd_star
 from test_radiometry import block
 
 from mmqa_lab import bench, chart_image, charts, io, samples
@@ -194,8 +194,10 @@ STARS = {
     "white clipped": {"high": 0.5},
     "black clipped": {"low": 0.2},
     "a third hidden": {"hidden": 2.1},
+    **{kind: {"kind": kind} for kind in ("sharpened", "unlike", "sinusoidal", "bent")},
 }
-"""Stars of 36 cycles, light 0.1 to 0.6: what is stated, cut off, or hidden (radians)."""
+"""Stars of 36 cycles, light 0.1 to 0.6: what is stated, cut off, or hidden (radians); stars of 24
+that no lens alone makes."""
 
 
 def stars(draws):
@@ -212,10 +214,13 @@ def stars(draws):
             image = np.where(turn < change.get("hidden", 0), rng.uniform(0.1, 0.6), image)
             image = image + 0.005 * rng.standard_normal(image.shape)
             image = np.clip(image, change.get("low", -9), change.get("high", 9))
+            how = {"cycles": change.get("cycles", 36), "radius_px": 70}
+            place = place + 74.5
+            if "kind" in change:
+                image, spread, place = odd_star(change["kind"], rng), PointSpread(0.8), (84.5, 84.5)
+                how = {"cycles": 24, "radius_px": 80}
             try:
-                found = measure_star(
-                    image, place + 74.5, cycles=change.get("cycles", 36), radius_px=70
-                )
+                found = measure_star(image, place, **how)
             except ValueError:
                 row["refused"] += 1
                 continue
@@ -235,8 +240,9 @@ BLOCKS = {
     "a control in shadow": lambda table, rng: np.where(
         table["tie"] == 3, rng.uniform(0.4, 0.8), 1.0
     ),
+    "a control labelled 1.15 times": lambda table, rng: 1.0,
 }
-"""Light that a block does not know of."""
+"""Light that a block does not know of, and a control's wrong label."""
 
 
 def blocks(draws):
@@ -244,12 +250,13 @@ def blocks(draws):
     rows = []
     for name, light in BLOCKS.items():
         for noise in (0.005, 0.01, 0.02):
-            covered, said = [], []
+            covered, said, quiet = [], [], []
             for draw in range(draws):
                 rng = np.random.default_rng(500 + draw)
                 table, ground, gain = block(rng, noise=noise)
                 table["radiance"] *= light(table, rng)
                 known = ground[:6] + 0.003 * rng.standard_normal(6)
+                known[3] *= 1.15 if "labelled" in name else 1
                 control = pd.DataFrame({"tie": range(6), "reflectance": known, "std": 0.003})
                 with warnings.catch_warnings(record=True) as told:
                     warnings.simplefilter("always")
@@ -257,7 +264,9 @@ def blocks(draws):
                 said.append(bool(told))
                 off = abs(found["gain"] / gain - 1) / (found["gain_std_percent"] / 100)
                 covered.append((off < 1.96).mean())
+                quiet += [] if told else [covered[-1]]
             row = {"light": name, "noise": noise, "draws": draws, "coverage": np.mean(covered)}
+            row["where nothing is said"] = np.mean(quiet) if quiet else np.nan
             rows.append(row | {"said": np.mean(said)})
     write_section("Images: blocks", pd.DataFrame(rows))
 
