@@ -1,6 +1,7 @@
 """The evaluation of a chart's cloud: known patterns, brute force, published values, selections."""
 
 import json
+import re
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -198,12 +199,12 @@ def test_coarse_coordinates_and_coincident_points_are_remarked_on(rng):
     assert table["remarks"][0] == f"{said} {twice}"
 
 
-def test_two_points_in_one_place_of_thousands_leave_the_density_certain(rng):
+def test_two_points_in_one_place_of_thousands_are_not_said_and_leave_the_density_certain(rng):
     points = noisy(rng)
     for copies, certain in ((2, True), (40, False)):
         quality = evaluate_cloud(np.concatenate([points, points[:copies]]))
         known = {"quantity": "density_per_m2", "remarks": " ".join(quality.remarks)}
-        assert "share their place" in known["remarks"]
+        assert ("share their place" in known["remarks"]) != certain
         said = tender.verdict(2001, "<=", 900, **known)
         assert said == ("not met" if certain else "not certain")
 
@@ -261,6 +262,19 @@ def test_the_plot_says_the_figures(rng):
     assert said[:2] == [f"median $d_{k}$ = {quality.d_mm[k - 1]:.1f} mm" for k in (1, 4)]
     assert said[2] == f"places: $e_{{95}}$ = {quality.e95_mm:.1f} mm"
     assert said[3] == f"±std = {quality.std_mm:.1f} mm"
+
+
+@pytest.mark.parametrize(("ratio", "said"), [(1.5, False), (10, True)])
+def test_points_that_are_denser_on_one_side_are_said(rng, ratio, said):
+    points = noisy(rng, 12_000)
+    points = points[rng.random(len(points)) < ratio ** (-points[:, 0] / 2)]
+    (sentence,) = evaluate_cloud(points).remarks or ("",)
+    assert sentence.startswith("Points are uneven: ") == said
+    if said:  # the middles of the outer columns of blocks are 3/4 apart
+        low, high = (
+            float(re.search(r"(\d+)( per m2)?$", part)[1]) for part in sentence.split(" in the")[:2]
+        )
+        assert high / low == pytest.approx(ratio**0.75, rel=0.25)
 
 
 def test_a_polygon_that_is_mostly_empty_is_said(rng):

@@ -20,7 +20,7 @@ ROOT = Path(mmqa_lab.__file__).parent.parent
 PACKAGE, TESTS = ROOT / "mmqa_lab", ROOT / "tests"
 
 LAYERS = (
-    "__init__ _data _checks _compiled _results _streams rotations",
+    "__init__ _data _checks _compiled _progress _results _streams rotations",
     "cloud published",
     "stats spacing planes plane_search io",
     "scan_pattern charts samples metrics chart_cloud test_field lines radiometry repeatability",
@@ -40,6 +40,7 @@ OTHER_TESTS = {
     "__main__": "commands",
     "_checks": "bad_inputs",
     "_compiled": "spacing",
+    "_progress": "commands",
     "_data": "house",
     "_streams": "kinds",
     "plane_search": "lines_edges",
@@ -83,7 +84,7 @@ def test_imports_point_down(path):
 
 def test_the_package_and_the_contributors_page_list_each_room_once():
     listed = re.findall(r"^- ``(\w+)``: ", mmqa_lab.__doc__, re.MULTILINE)
-    inside = {"__init__", "__main__", "_compiled", "_results", "_streams"}
+    inside = {"__init__", "__main__", "_compiled", "_progress", "_results", "_streams"}
     assert sorted(listed) == sorted({*" ".join(LAYERS).split()} - inside)
     page = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     assert with_rooms(page) == page  # python tests/rooms.py writes it

@@ -14,7 +14,7 @@ from mmqa_lab import plots, widgets
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.planes import fit_plane
-from mmqa_lab.widgets import selection
+from mmqa_lab.widgets import selection, surfaces
 from mmqa_lab.widgets.screen import LOCK
 
 # of ipympl's own toolbar
@@ -316,7 +316,7 @@ def test_of_many_points_those_around_the_middle_come_first(rng, screen, monkeypa
     whole = tool.evaluate()
     assert whole.n > 6000
     for thread in threading.enumerate():
-        if thread is not threading.current_thread() and thread.daemon:
+        if "_settle" in thread.name:
             thread.join(30)
     assert tool.quality.n == whole.n == seen[-1]
     assert [one > 6000 for one in seen] == [False] * 4 + [True]
@@ -351,6 +351,31 @@ def test_floor_ceiling_and_walls_are_told_apart(room, screen):
     tool._true.value = True
     colours = tool._scene_dots.get_facecolor()[tool._owner != tool.number]
     np.testing.assert_allclose(colours[:, :3], [[200 / 255, 201 / 255, 0]] * len(colours))
+
+
+def test_storeys_are_counted_by_their_floors_and_a_pavement_is_no_ceiling(room, rng, screen):
+    desk = rng.uniform(0, 1, (400, 3)) * [1.5, 1, 0] + [2, 1, 0.75]
+    storey = np.concatenate([room.points, desk])
+    flat = rng.uniform(0, 1, (3, 3000, 3)) * [12, 4, 3]
+    flat[0, :, 2], flat[1, :, 2], flat[2, :, 1] = 0, 0.2, 6
+    flat[1, :, 1] = 4 + flat[1, :, 1] / 2  # a pavement between a street and a wall
+    clouds = {"house": np.concatenate([storey, storey + [0, 0, 3.3]]), "street": np.vstack(flat)}
+    tool = widgets.SurfaceTool(clouds, tolerance=0.05, size=0.5)
+    found = tool.planes.groupby(["cloud", "kind", "storey"]).size()
+    assert found["house", "floor"].to_dict() == {1: 2, 2: 2}  # with the desks
+    assert found["house", "ceiling"].to_dict() == {1: 1, 2: 1}
+    assert found["house", "wall facing north"].to_dict() == {1: 1, 2: 1}
+    assert found["street"].index.tolist() == [("floor", 1), ("wall facing south", 1)]
+    assert all("storey" in text for text, _ in tool._list.options)
+
+
+def test_an_interrupted_search_is_a_sentence(clouds, monkeypatch):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(surfaces, "detect_planes", interrupted)
+    with pytest.raises(widgets.Halt, match="Interrupted: planes of corner were sought"):
+        widgets.SurfaceTool(clouds)
 
 
 def test_a_cloud_or_plane_that_is_not_there_is_refused_and_changes_nothing(clouds, rng, screen):

@@ -21,9 +21,9 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 from threadpoolctl import ThreadpoolController
-from tqdm import tqdm
 
 from mmqa_lab._checks import needs
+from mmqa_lab._progress import progress
 from mmqa_lab.bench.tables import RESERVED, dataset, failures
 
 __all__ = ["Comparison", "grid", "run"]
@@ -175,8 +175,7 @@ class Comparison:
         study = replace(self, cases=cases)
         jobs = list(itertools.product(range(len(cases)), seeds))
         records, found = dict.fromkeys(jobs), _computed(study, jobs, executor)
-        bar = {"leave": False, "disable": None, "ncols": 80, "nrows": 24}
-        for job, record in tqdm(found, total=len(jobs), unit="case", **bar):
+        for job, record in progress(found, "case", total=len(jobs)):
             records[job] = record
         results = dataset(cases, list(self.methods), seeds, records)
         for method, part in failures(results).groupby("method", sort=False):

@@ -41,6 +41,10 @@ FULL = 1.5
 DUPLICATES = 0.001
 """Share of points in the place of another up to which they do not count for the density."""
 
+UNEVEN_RATIO, UNEVEN_POINTS = 3.0, 25
+"""Ratio of the densities of the dense and the sparse tenth of the blocks from which a remark is
+given (of even points 1.7 at most), and the mean number of points of a block."""
+
 BENT = 0.5
 """Share of the variance of the distances, explained by a surface of second degree, above which a
 remark is given."""
@@ -87,10 +91,9 @@ def remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
             "not measured.",
         ),
         (
-            gaps.coincident > 0,
+            gaps.coincident > DUPLICATES * gaps.n,
             f"{gaps.coincident} points ({100 * gaps.coincident / gaps.n:.3g} %) share their place "
-            "with another"
-            + (": they raise the density." if gaps.coincident > DUPLICATES * gaps.n else "."),
+            "with another: they raise the density.",
         ),
         (
             d2_mm > PAIRS * d1_mm,
@@ -151,9 +154,9 @@ def _gaps(xy, outline, has_polygon):
     space = space_within(xy, outline, most=GAP_PLACES)
     away = space.distances
     limit = EMPTY_MEDIANS * np.median(away)
-    share = np.mean(away > limit)
+    share, uneven = np.mean(away > limit), _uneven(space.places, xy, outline.area)
     if share < EMPTY_SHARE:
-        return ()
+        return uneven
     empty = f"{100 * share:.0f} % of the {'polygon' if has_polygon else 'hull of the points'} lies "
     empty += f"more than {1000 * limit:.0f} mm from any point: the density counts it."
     whole = np.percentile(away, 95)
@@ -164,7 +167,19 @@ def _gaps(xy, outline, has_polygon):
             has_polygon and not whole < 1.1 * space.e95,
             f"Points end before the border: e95 is {1000 * whole:.0f} mm if places there count.",
         ),
-    )
+    ) + uneven  # fmt: skip
+
+
+def _uneven(places, xy, area_m2):
+    """A remark if some blocks of the outline have several times as many points as others."""
+    block = block_numbers(np.concatenate([places, xy]))
+    of, n = (np.bincount(part, minlength=16) for part in np.split(block, [len(places)]))
+    full = (n > 0) & (of > of.max() / 2)
+    if len(xy) < UNEVEN_POINTS * len(n) or not full.any():
+        return ()
+    low, high = np.quantile((n[full] / of[full]) * len(places) / area_m2, [0.1, 0.9])
+    said = f"Points are uneven: {low:.0f} per m2 in the sparse tenth, {high:.0f} in the dense one."
+    return sentences((high > UNEVEN_RATIO * low, said))
 
 
 def is_by_chance(xy, axes):

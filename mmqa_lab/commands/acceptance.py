@@ -8,7 +8,8 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from mmqa_lab._checks import check_choice, check_outputs, check_upright, refuse
-from mmqa_lab.commands.machine import check_ending, progress, table
+from mmqa_lab._progress import progress
+from mmqa_lab.commands.machine import check_ending, table
 
 __all__ = ["accuracy", "calibrate", "plan", "tender"]
 

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Literal
 
 from mmqa_lab._checks import check_known, check_upright, needs
+from mmqa_lab._progress import progress
 from mmqa_lab.commands.machine import (
     FIGURE_ENDINGS,
     check_ending,
     each_file,
-    progress,
     say_shown,
     table,
     write_figure,

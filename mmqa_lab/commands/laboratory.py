@@ -10,7 +10,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from mmqa_lab.commands.machine import FIGURE_ENDINGS, app, progress, table, write_figure
+from mmqa_lab._progress import progress
+from mmqa_lab.commands.machine import FIGURE_ENDINGS, app, table, write_figure
 
 __all__ = ["bench", "lab", "paper", "student", "studies", "test"]
 

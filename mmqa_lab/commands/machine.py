@@ -19,10 +19,11 @@ from cyclopts import App, CycloptsError, Parameter
 
 from mmqa_lab import __version__
 from mmqa_lab._checks import check_outputs, is_file
+from mmqa_lab._progress import progress
 from mmqa_lab._results import printed
 
 __all__ = [
-    "FIGURE_ENDINGS", "app", "as_json", "as_text", "check_ending", "each_file", "heard", "progress",
+    "FIGURE_ENDINGS", "app", "as_json", "as_text", "check_ending", "each_file", "heard",
     "run", "say_shown", "sentence_of", "table", "write_figure",
 ]  # fmt: skip
 
@@ -255,13 +256,6 @@ def _sentences(frame, column):
     names = frame["file"] + ": " if "file" in frame and len(frame) > 1 else ""
     names = names if column == "remarks" else names + f"{column}: "
     return (names + frame[column])[frame[column].fillna("") != ""].unique()
-
-
-def progress(items, unit):
-    """Go through items and show a progress bar on stderr if that is a terminal."""
-    from tqdm import tqdm
-
-    return tqdm(items, unit=unit, disable=None, leave=False, ncols=80, nrows=24)
 
 
 def check_ending(path, name, endings):

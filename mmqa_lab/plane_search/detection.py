@@ -12,6 +12,7 @@ from scipy.special import lambertw
 
 from mmqa_lab._checks import check_points, check_positive
 from mmqa_lab._compiled import in_threads
+from mmqa_lab._progress import progress
 from mmqa_lab.cloud import extent, sort_into_cells
 from mmqa_lab.plane_search.growth import (
     CELLS_PER_SIZE,
@@ -154,7 +155,7 @@ def detect_planes(
         )
     minimum = int(np.clip(LEAST_AREA * CELLS_PER_SIZE**2 * in_cell, *FEWEST_LIMITS))
     search = _Search(grid, tolerance, minimum)
-    for _ in range(4):
+    for _ in progress(range(4), "rounds of the search for planes"):
         if not search.round():
             break
     return search.parts(order[grid.order])
@@ -238,8 +239,8 @@ class _Search:
             values = assign(self.cells, *surfaces, self.tolerance, owner, height, clear)
         order = np.argsort(owner, kind="stable")
         starts = np.searchsorted(owner[order], np.arange(len(planes) + 1))
-        parts = []
-        for k, index in enumerate(np.split(order, starts)[1:-1]):
+        parts, found = [], enumerate(np.split(order, starts)[1:-1])
+        for k, index in progress(found, "planes", total=len(planes)):
             fitted = index[clear[index]]
             if len(index) < self.least or len(fitted) < 3:
                 continue

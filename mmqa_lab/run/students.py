@@ -23,8 +23,8 @@ import nbformat
 import pandas as pd
 from IPython.core.inputtransformer2 import TransformerManager
 from nbconvert.preprocessors import ClearOutputPreprocessor
-from tqdm.auto import tqdm
 
+from mmqa_lab._progress import progress
 from mmqa_lab.io import write_atomically
 from mmqa_lab.run.exercises import NUMBER, NUMBERS, answer_parts, names_in, student_cell
 from mmqa_lab.run.notebooks import ANSWER, execute, inject
@@ -137,10 +137,9 @@ def write_solutions(folder, studies, *, quick=False):
     -------
     list of Path
     """
-    bar = {"unit": "study", "leave": False, "disable": None, "ncols": 80, "nrows": 24}
     with ThreadPoolExecutor(os.cpu_count()) as pool:  # each notebook is a process
         found = pool.map(lambda study: answer_table(study, quick=quick), studies)
-        tables = list(tqdm(found, total=len(studies), **bar))
+        tables = list(progress(found, "study", total=len(studies)))
     written = []
     for study, answers in zip(studies, tables, strict=True):
         notebook = nbformat.read(study.path, as_version=4)

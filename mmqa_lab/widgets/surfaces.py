@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from mmqa_lab import io, plots
 from mmqa_lab._checks import check_choice, check_points, refuse
+from mmqa_lab._progress import progress
 from mmqa_lab.chart_cloud import CloudQuality, inside_polygon
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.plane_search import detect_planes
@@ -46,6 +47,9 @@ TAG = {"fontsize": 7, "ha": "center", "bbox": {"fc": "w", "lw": 0, "pad": 1, "al
 
 # Cosine of the slope of a floor, 25 degrees; its difference from 1 is that of a wall, 84 degrees.
 LEVEL_COSINE = 0.9
+
+# Points nearer to a level plane are not above or below it; storeys are higher, m.
+CLEAR_M, STOREY_M = 0.15, 2.0
 
 POINTS_OF_COMPASS = (
     "north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west",
@@ -85,7 +89,8 @@ class SurfaceTool(SelectionTool):
     planes : DataFrame
         ``cloud``, ``plane``, ``points``, ``area_m2``, ``slope_deg``, ``std_mm``, ``easting_m``,
         ``northing_m``, ``height_m`` of all planes; ``kind``: floor, ceiling, slope, or where a wall
-        faces, towards the middle of the cloud; ``up_m`` above the lowest point of the cloud.
+        faces, towards the middle of the cloud; ``up_m`` above the lowest point of the cloud;
+        ``storey`` of the plane's centre, from 1.
     kept : Kept
         Selections that are kept under names.
     missing : list of str
@@ -109,18 +114,25 @@ class SurfaceTool(SelectionTool):
     ):
         self._points = {name: check_points(cloud) for name, cloud in clouds.items()}
         self._given = dict(clouds)
-        self._patches, self.missing, rows = {}, [], []
-        for name, points in self._points.items():
-            patches = self._patches[name] = _planes_of(points, tolerance, size)
+        self._patches, self.missing, found = {}, [], []
+        for name, points in progress(self._points.items(), "cloud"):
+            try:
+                patches = self._patches[name] = _planes_of(points, tolerance, size)
+            except KeyboardInterrupt:
+                said = f"Interrupted: planes of {name} were sought. Run the cell again."
+                raise Halt(said) from None
             if not patches:
                 self.missing.append(f"{name}: no plane of {size:g} m or more.")
-            for number, patch in enumerate(patches):
-                rows.append({"cloud": name, "plane": number, **_described(patch, points)})
+                continue
+            table = pd.DataFrame([_described(patch, points) for patch in patches])
+            table.insert(0, "cloud", name)
+            table.insert(1, "plane", table.index)
+            found.append(table.assign(storey=_storeys(table)))
         listed = [name for name, patches in self._patches.items() if patches]
         if not listed:
             named = ", ".join(self._points)
             raise Halt(f"Invalid cloud {named}: no plane of {size:g} m or more. Must have one.")
-        self.planes = pd.DataFrame(rows)
+        self.planes = pd.concat(found, ignore_index=True)
         self._scene = Figure(figsize=(4.2, 4), dpi=100, layout="constrained")
         self._scene.get_layout_engine().set(rect=(0, 0, 0.93, 1))  # buttons are to the right
         self._scene_canvas = canvas_of(self._scene)
@@ -216,6 +228,7 @@ class SurfaceTool(SelectionTool):
         rows = self.planes[self.planes["cloud"] == self.name].head(LISTED)
         rows = rows[rows["points"] >= LISTED_SHARE * rows["points"].max()].to_dict("records")
         text = "{plane}: {kind}, {area_m2:.0f} m², {up_m:.1f} m up"
+        text += ", storey {storey}" * (len({row["storey"] for row in rows}) > 1)
         self.number = 0
         self._list.options = [(text.format(**row), row["plane"]) for row in rows]
         self._outlines = []
@@ -266,12 +279,13 @@ class SurfaceTool(SelectionTool):
 
 def _described(patch, points):
     """The figures of a plane in the list and in the table."""
-    towards = np.median(points[:: 1 + len(points) // SHOWN], axis=0) - patch.plane.centre
-    side = patch.plane.normal @ towards
-    if abs(side) < 3 * patch.sigma:  # nothing on either side: a plane alone is seen from above
-        side = patch.plane.normal[2]
-    normal = patch.plane.normal * (-1 if side < 0 else 1)
-    hull = shapely.convex_hull(shapely.multipoints(patch.plane.project(points[patch.index])))
+    own, some = points[patch.index], points[:: 1 + len(points) // (10 * SHOWN)]
+    normal = patch.plane.normal
+    if abs(normal[2]) > LEVEL_COSINE:
+        normal = np.sign(normal[2]) * normal * (-1 if _is_ceiling(patch, own, some) else 1)
+    else:
+        normal = normal * (1 if normal @ (np.median(some, axis=0) - patch.plane.centre) > 0 else -1)
+    hull = shapely.convex_hull(shapely.linestrings(patch.plane.project(own)))
     return {
         "kind": kind_of(normal),
         "points": len(patch),
@@ -281,6 +295,28 @@ def _described(patch, points):
         **{f"{AXES[k]}_m": patch.plane.centre[k] for k in range(3)},
         "up_m": patch.plane.centre[2] - points[:, 2].min(),
     }
+
+
+def _is_ceiling(patch, own, some):
+    """Whether the room at a level plane is below it: what is nearest to its middle is above."""
+    hull = shapely.convex_hull(shapely.linestrings(own[:, :2]))
+    hull = hull.buffer(-0.1 * hull.area**0.5)  # without the walls
+    rise = patch.plane.distances(some[shapely.contains_xy(hull, *some[:, :2].T)])
+    rise = rise * np.sign(patch.plane.normal[2])
+    above, below = rise[rise > CLEAR_M], -rise[rise < -CLEAR_M]
+    least = 0.05 * (len(rise) - len(above) - len(below))
+    if min(len(above), len(below)) <= least:
+        return len(below) > least
+    return bool(np.quantile(above, 0.05) < np.quantile(below, 0.05))
+
+
+def _storeys(planes):
+    """The storey of each plane of a cloud, by the floors below its centre; 1 without a ceiling."""
+    floors = planes[(planes["kind"] == "floor") & (planes["area_m2"] > planes["area_m2"].max() / 5)]
+    levels = [-np.inf]
+    for up in sorted(floors["up_m"]) if (planes["kind"] == "ceiling").any() else ():
+        levels += [up] * (up > levels[-1] + STOREY_M)
+    return np.maximum(1, np.searchsorted(levels, planes["up_m"] + 0.05) - 1)
 
 
 def kind_of(normal: np.ndarray) -> str:
