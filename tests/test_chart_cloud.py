@@ -271,9 +271,7 @@ def test_points_that_are_denser_on_one_side_are_said(rng, ratio, said):
     (sentence,) = evaluate_cloud(points).remarks or ("",)
     assert sentence.startswith("Points are uneven: ") == said
     if said:  # the middles of the outer columns of blocks are 3/4 apart
-        low, high = (
-            float(re.search(r"(\d+)( per m2)?$", part)[1]) for part in sentence.split(" in the")[:2]
-        )
+        low, high = map(float, re.findall(r"(\d+)(?: per m2)? in the", sentence))
         assert high / low == pytest.approx(ratio**0.75, rel=0.25)
 
 
