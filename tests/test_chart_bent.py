@@ -75,15 +75,13 @@ def calibration(lens):
     return matrix, np.array([lens.radial[0] * rate**2, lens.radial[1] * rate**4, 0, 0, 0])
 
 
-def test_lines_bent_too_far_are_refused_by_how_far_and_measured_with_the_lens(tmp_path):
-    shares = []
-    for seed in range(5, 0, -1):  # the share of one photograph scatters by 3 %
-        image = STRONG.photograph(CHART, seed=seed)
-        cv2.imwrite(str(tmp_path / "photo.png"), np.uint8(np.clip(255 * image, 0, 255)))
-        with pytest.raises(ValueError, match=r"straight lines are bent by \d+\.\d%") as refused:
-            chart_image.evaluate_file(tmp_path / "photo.png", CHART, gamma="linear")
-        shares.append(float(str(refused.value).split("bent by ")[1].split("%")[0]) / 100)
-    assert np.mean(shares) == pytest.approx(bent_share(STRONG), rel=0.25)
+def test_lines_bent_too_far_are_refused_and_measured_with_the_lens(tmp_path):
+    image = STRONG.photograph(CHART, seed=1)
+    cv2.imwrite(str(tmp_path / "photo.png"), np.uint8(np.clip(255 * image, 0, 255)))
+    # how far is not said: of such lines a cubic tells a quarter too much
+    assert bent_share(STRONG) > 0.06
+    with pytest.raises(ValueError, match="straight lines are bent by more than 6% of their"):
+        chart_image.evaluate_file(tmp_path / "photo.png", CHART, gamma="linear")
     matrix, distortion = calibration(STRONG)
     camera = {"camera_matrix": matrix.tolist(), "dist_coeff": [distortion.tolist()]}
     (tmp_path / "lens.yaml").write_text(yaml.dump(camera))

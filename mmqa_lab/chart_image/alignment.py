@@ -119,9 +119,9 @@ def align(image: ArrayLike, layout: Layout, chart_map: ChartMap) -> ChartMap:
     turned = level.correlation(mirrored(found, layout)) > level.correlation(found) + CLEARLY
     refuse(turned, "image", "the chart is mirrored", "as the camera saw it")
     bent = found.bent_share(layout) if found.bend is not None else 0.0
-    lines = f"straight lines are bent by {bent:.1%} of their length"
-    told = "or a camera file must tell how the lens bends (is the chart there?)"
-    refuse(bent > LARGEST_BEND, WHERE, lines, f"less than {LARGEST_BEND:.0%}, {told}")
+    lines = f"straight lines are bent by more than {LARGEST_BEND:.0%} of their length"
+    told = "straighter, or a camera file must tell how the lens bends (is the chart there?)"
+    refuse(bent > LARGEST_BEND, WHERE, lines, told)
     alike = f"its print correlates by {correlation:.2f} with the image"
     there = "(is the chart there, not mirrored, and are its lines straight?)"
     differs = not correlation >= SMALLEST_CORRELATION
