@@ -205,6 +205,11 @@ def test_blur_does_not_change_the_pixel_size(condition):
         assert sizes["length_sigma_px"].max() < 0.5 * quality.residual_px
 
 
+def test_a_mirrored_chart_whose_bars_look_alike_is_named_by_its_targets(plain):
+    with pytest.raises(ValueError, match="the chart is mirrored"):
+        chart_image.locate(grey(plain[0].image)[:, ::-1], CHART)
+
+
 def test_clear_line_pairs_that_are_not_resolved_are_said(plain):
     _, quality = plain
     assert not quality.remarks

@@ -29,6 +29,8 @@ from mmqa_lab.charts import Bar, Layout, Marker, reflectance
 __all__ = ["ENLARGED_PIXELS", "by_bars", "by_chart", "confirmed", "decoded", "locate"]
 
 
+LONG_BARS = "long bars"
+
 WIRES_PX = 9
 """Window of a median in which wires vanish and bars stay."""
 
@@ -115,9 +117,14 @@ def locate(
     chart_map, targets = _found(grey, layout, known)
     if chart_map is None:  # a fence may stand before it
         chart_map, _ = _found(cv2.medianBlur(grey, WIRES_PX), layout, known)
+    if chart_map is None or chart_map.source == LONG_BARS:
+        flipped = np.ascontiguousarray(grey[:, ::-1])
+        if chart_map is None:
+            turned = _found(flipped, layout, known)[0] is not None
+        else:  # bars alone look alike, targets do not
+            turned = len(decoded(flipped, _markers(layout), _shrunk(grey))) > 2
+        refuse(turned, "image", "the chart is mirrored", "as the camera saw it")
     if chart_map is None:
-        mirrored = _found(np.ascontiguousarray(grey[:, ::-1]), layout, known)[0] is not None
-        refuse(mirrored, "image", "the chart is mirrored", "as the camera saw it")
         seen = f"{targets} of {len(layout.of_kind(Marker))} coded targets and no long bars found"
         must = "show the whole chart, not cut by the border, or its corners must be given"
         raise ValueError(f"Invalid image: {seen}. Must {must}.")
@@ -126,18 +133,27 @@ def locate(
 
 def _found(grey, layout, known):
     """The map of the largest chart or None, and how many coded targets are seen."""
-    markers = {(one.dictionary, one.identifier): one for one in layout.of_kind(Marker)}
-    shrunk = min((SHRUNK_PIXELS / grey.size) ** 0.5, 1)
+    markers, shrunk = _markers(layout), _shrunk(grey)
     for times in (shrunk, 1) if shrunk < 1 else (1,):
         found = decoded(grey, markers, times) if markers else []
         chart_map = _by_targets(grey, layout, found, markers, known)
         if chart_map is None and times == shrunk:
             chart_map = by_bars(grey, layout, times)
             if chart_map is not None:
-                chart_map = plain(chart_map, layout, source="long bars", **known)
+                chart_map = plain(chart_map, layout, source=LONG_BARS, **known)
         if chart_map is not None:
             break
     return chart_map, len(found)
+
+
+def _markers(layout):
+    """Coded targets by dictionary and number."""
+    return {(one.dictionary, one.identifier): one for one in layout.of_kind(Marker)}
+
+
+def _shrunk(grey):
+    """The factor by which an image is made smaller first."""
+    return min((SHRUNK_PIXELS / grey.size) ** 0.5, 1)
 
 
 def _by_targets(grey, layout, found, markers, known):
@@ -162,7 +178,7 @@ def _by_targets(grey, layout, found, markers, known):
     other = _other(grey, replace(chart_map, offset=(0.0, 0.0)), layout)
     charts = sum(len(group) > 1 for group in groups), 1 + (other.charts if other else 0)
     if other and side(other, layout) > side(chart_map, layout):
-        chart_map = plain(other, layout, source="long bars", **known)
+        chart_map = plain(other, layout, source=LONG_BARS, **known)
     return replace(chart_map, charts=max(charts))
 
 
