@@ -14,12 +14,9 @@ from datetime import datetime
 from html import escape
 from pathlib import Path
 
-import nbformat
 import pandas as pd
 from jinja2 import Environment, FileSystemLoader
 from latex2mathml.converter import convert
-from nbconvert import HTMLExporter
-from nbconvert.preprocessors import TagRemovePreprocessor
 
 import mmqa_lab
 from mmqa_lab import __version__
@@ -141,6 +138,10 @@ def notebook_page(notebook, title, *, above=()):
     above : sequence of str
         Paragraphs in Markdown above the notebook.
     """
+    from nbconvert import HTMLExporter
+    from nbconvert.preprocessors import TagRemovePreprocessor
+    from nbformat.v4 import new_markdown_cell
+
     heading = title
     for cell in notebook.cells:
         if cell.cell_type == "markdown":
@@ -150,9 +151,7 @@ def notebook_page(notebook, title, *, above=()):
         for output in cell.get("outputs", []):
             if "image/png" in output.get("data", {}):
                 _name_picture(output, seen.pop(0) if seen else f"Figure, {heading}")
-    notebook.cells.insert(
-        0, nbformat.v4.new_markdown_cell("\n\n".join([filled("notebook.html"), *above]))
-    )
+    notebook.cells.insert(0, new_markdown_cell("\n\n".join([filled("notebook.html"), *above])))
     notebook.metadata["title"] = title
     folded = TagRemovePreprocessor(remove_input_tags={"results"})
     body, _ = HTMLExporter(preprocessors=[folded]).from_notebook_node(notebook)
@@ -233,6 +232,8 @@ def write_site(folder, notebooks, studies):
     Path
         The page ``index.html``.
     """
+    import nbformat
+
     folder, notebooks = Path(folder), Path(notebooks)
     for study in studies:
         notebook = nbformat.read(study.path, as_version=4)
