@@ -183,6 +183,8 @@ def test_curves_rise_where_the_metric_decides():
     assert p == pytest.approx([0.98, 0.5, 0.02], abs=0.08)
     assert (low < p).all()
     assert (p < high).all()
+    for done in (values < 20, values > 0):  # nothing to fit between the two
+        assert np.isnan(curves.curve(values, done, np.exp([1.0, 3.0]))).all()
 
 
 def test_what_a_surface_supports_grows_with_its_noise_and_is_silent_elsewhere():

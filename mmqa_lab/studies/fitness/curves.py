@@ -36,14 +36,14 @@ def curve(values, fit, at):
     """
     models = needs("lab", "statsmodels.api")
     known = np.isfinite(values) & (values > 0)
-    design = models.add_constant(np.log(values[known]))
-    try:
-        found = models.Logit(fit[known].astype(float), design).fit(disp=0)
-        odds = models.add_constant(np.log(at), has_constant="add") @ found.params
-        rows = models.add_constant(np.log(at), has_constant="add")
-        reach = 1.96 * np.sqrt(np.einsum("ij,jk,ik->i", rows, found.cov_params(), rows))
-    except (np.linalg.LinAlgError, ValueError):
+    x, done = np.log(values[known]), np.asarray(fit, bool)[known]
+    ends = np.array([[part.min(), part.max()] for part in (x[done], x[~done]) if len(part)])
+    if len(ends) < 2 or ends[:, 0].max() >= ends[:, 1].min():
         return np.full((3, len(at)), np.nan)
+    found = models.Logit(done.astype(float), models.add_constant(x)).fit(disp=0)
+    rows = models.add_constant(np.log(at), has_constant="add")
+    odds = rows @ found.params
+    reach = 1.96 * np.sqrt(np.einsum("ij,jk,ik->i", rows, found.cov_params(), rows))
     return 1 / (1 + np.exp(-np.array([odds, odds - reach, odds + reach])))
 
 
