@@ -96,7 +96,7 @@ COMMANDS = [
     ("lhd nan_segments.csv segments.csv", "no finite number in row 4 of column z1, nothing. Must"),
     ("lhd segments.csv moved.csv --weight -1", "Invalid weight -1"),
     ("poles PATCH --method own", "own"),
-    ("poles PATCH --trajectory words.csv", "Must have time in seconds, easting"),
+    ("poles PATCH --trajectory words.csv", "Must have time in seconds; easting"),
     (
         "poles PATCH --reference words.csv",
         "no column 'x_m' beside alpha, beta, gamma. Must have one.",

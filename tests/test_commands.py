@@ -362,3 +362,24 @@ def test_the_longest_study_begins_first_and_the_shortest_is_next(tmp_path):
     ran = list(commands.laboratory._run_studies(asked, studies, tmp_path, True, 1, known))
     assert [record for _, record in ran] == ["poles", "fitness", "mimic"]
     assert [study.stem for study, _ in ran] == ["poles", "fitness", "mimic"]
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        ("calibrate a.laz --trajectory p.csv --lever-arm 0 0 0", "arguments 0 0"),
+        ("map a.laz --cell 1 2 --out m.nc", "arguments 2"),
+        ("map a.laz --cell x --out m.nc", "--cell x"),
+        ("evaluate a.laz --json=maybe", "--json maybe"),
+        ("evaluate a.laz --polygon", "command without --polygon"),
+        ("evaluate", "command without CLOUDS"),
+        ("evaluate a.laz --polgon b", "option --polgon"),
+        ("evalute a.laz", "command line: "),
+    ],
+)
+def test_a_command_line_that_does_not_fit_is_one_own_sentence(words, found, capsys):
+    assert main(words.split()) == 2
+    told = capsys.readouterr().err.strip()
+    assert told.startswith(f"mmqa {words.split()[0]}: Invalid {found}")
+    assert ". Must be " in told
+    assert len(told.splitlines()) == 1

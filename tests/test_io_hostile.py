@@ -105,6 +105,9 @@ def test_raw_inks_and_profiles_are_noticed(tmp_path):
     (tmp_path / "a.jpg").write_bytes(b"\0\0\0\x18ftypheic" + bytes(99))
     with pytest.raises(ValueError, match=r"a HEIC photograph\. Must be another; save it as JPEG"):
         io.read_image(tmp_path / "a.jpg")
+    (tmp_path / "a.nef").write_bytes(b"MM\0*" + bytes(2000))
+    with pytest.raises(ValueError, match=r"a RAW photograph\. Must be another; save it as TIFF"):
+        io.read_image(tmp_path / "a.nef")
     usual = bytearray(ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes())
     entry = usual.index(b"rTRC", 128)
     place = int.from_bytes(usual[entry + 4 : entry + 8], "big")
@@ -144,3 +147,29 @@ def test_a_netcdf_map_opens_at_its_place_in_a_gis(tmp_path, rng):
     if "netCDF" in rasterio.drivers.raster_driver_extensions().values():
         with rasterio.open(f"netcdf:{tmp_path / 'm.nc'}:density") as file:
             assert file.transform.almost_equals(expected, 1e-6)
+
+
+@pytest.mark.parametrize(
+    ("read", "ending"),
+    [(io.read_cloud, "laz"), (io.read_trajectory, "csv"), (io.read_polygon, "geojson")],
+)
+def test_a_web_page_in_place_of_a_file_is_named(tmp_path, read, ending):
+    (tmp_path / f"a.{ending}").write_text("\n<!DOCTYPE HTML>\n<html><body>404</body></html>\n")
+    with pytest.raises(ValueError, match="a web page"):
+        read(tmp_path / f"a.{ending}")
+
+
+@pytest.mark.parametrize(("height", "left"), [(100.0, 37), (-950.0, 39)])
+def test_minus_999_is_no_height_unless_others_are_near_it(tmp_path, height, left, rng):
+    points = np.column_stack([rng.random((40, 2)), np.full(40, height)])
+    points[:3, 2] = -9999, -999, -999
+    np.savetxt(tmp_path / "a.csv", points, delimiter=",", header="x,y,z", comments="")
+    layout = {"driver": "GTiff", "count": 1, "dtype": "float64", "crs": "EPSG:25832"}
+    place = rasterio.Affine(0.5, 0, 448000, 0, -0.5, 5411004)
+    with rasterio.open(
+        tmp_path / "a.tif", "w", height=40, width=1, transform=place, **layout
+    ) as file:
+        file.write(points[:, 2:], 1)
+    for ending in ("csv", "tif"):
+        with pytest.warns(UserWarning, match=f"Dropped {40 - left} of 40"):
+            assert len(io.read_heights(tmp_path / f"a.{ending}")) == left

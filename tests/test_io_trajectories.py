@@ -225,3 +225,11 @@ def test_an_sbet_with_its_las_calibrates_a_head(tmp_path, capsys):
     found = pd.DataFrame(json.loads(said.out))
     assert found["value"][:3].to_numpy() == pytest.approx([0, 0.4, 0.3], abs=0.002)
     assert "seconds of the GPS week" in found["remarks"][0]
+
+
+def test_a_path_in_kilometres_is_said(tmp_path):
+    time = np.arange(0, 20, 0.5)
+    rows = np.column_stack([time, 448 + 0.008 * time, 5411 + 0 * time, 0.1 + 0 * time])
+    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header="time,x,y,z", comments="")
+    with pytest.warns(UserWarning, match=r"moves at 0\.008 m/s: are its coordinates in metres"):
+        io.read_trajectory(tmp_path / "a.csv")

@@ -130,6 +130,19 @@ def test_horizontal_axes(rng):
     assert np.cross(level, slope) @ plane.normal == pytest.approx(1)
 
 
+def test_a_circle_is_as_sure_as_the_larger_of_two_spreads():
+    """Errors of (-1)^k a cos^2 of 40 points on a ring: 5/4 a^2 / (38 - 2) is the variance of x.
+
+    From their mean square alone it would be 3/4 a^2 / (38 - 2).
+    """
+    turn, a = np.linspace(0, 2 * np.pi, 40, endpoint=False), 1e-4
+    radius = 0.1 + a * np.cos(turn) ** 2 * (-1.0) ** np.arange(40)
+    ring = np.column_stack([radius * np.cos(turn), radius * np.sin(turn)])
+    found = fit_circle(ring, diameter=0.2)
+    np.testing.assert_allclose(found.centre, 0, atol=1e-6)
+    assert found.covariance[0, 0] == pytest.approx(1.25 * a**2 / 36, rel=2e-3)
+
+
 def test_a_circle_of_rows_that_are_there_twice_is_no_surer(rng):
     turn = rng.uniform(0, 3, 12)
     arc = 0.1 * np.stack([np.cos(turn), np.sin(turn)], axis=1) + rng.normal(0, 0.002, (12, 2))

@@ -68,6 +68,21 @@ def test_slow_waves_are_blind_to_trends_and_bowls_but_to_no_place():
     assert seen[neighbours.WAVE_PARTS // 4 : -neighbours.WAVE_PARTS // 4].max() < 2
 
 
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+def test_waves_have_the_freedom_of_what_whole_lines_share(share):
+    """With k waves k degrees for what whole lines share, and k^2 for the rest of the variance."""
+    parts, waves = neighbours.WAVE_PARTS, neighbours.COSINES
+    count = len(waves)
+    scale = ((waves @ waves[0]) ** 2).mean()
+    rest = np.outer(waves[0], waves[0]) / scale * np.sqrt(1 - share)
+    lines = np.outer(waves[0], np.full(parts, np.sqrt(2 - share)))
+    lines /= parts * np.sqrt(scale)  # variance of both ways: the rest is subtracted once
+    across, along = (one.ravel() for one in np.indices((parts, parts)))
+    found = neighbours._reach_by_waves((lines + rest).reshape(1, -1), across, along)
+    freedom = 1 / (share**2 / count + (1 - share) ** 2 / count**2)
+    assert found[0] == pytest.approx(stats.student_reach(1.0, freedom))
+
+
 @settings(max_examples=40, deadline=None)
 @given(st.integers(1, 3000), st.integers(0, 2**32 - 1), st.sampled_from([0, 1, 3]))
 def test_parts_hold_equal_numbers_and_follow_the_order_of_places(n, seed, digits):

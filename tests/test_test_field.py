@@ -143,14 +143,36 @@ def test_gross_errors_in_plan_do_not_count(rng):
     assert set(found.loc[found["reason"] == "gross error", "name"]) == {5}
 
 
+@pytest.mark.parametrize(("usual_mm", "kept_mm", "gross_mm"), [(5.0, 20.5, 22.0), (0.1, 9.7, 10.3)])
+def test_an_error_is_gross_from_five_standard_deviations_and_a_centimetre(
+    usual_mm, kept_mm, gross_mm
+):
+    """Of 5 mm as the median of distances, 5 * 5 / root(2 ln 2) = 21.2 mm."""
+    turn = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+    way = np.append(turn[::2], [0, np.pi] * 2)  # pairs that leave the median where it is
+    far = np.append(np.full(20, usual_mm), [kept_mm] * 2 + [gross_mm] * 2) / 1000
+    places = np.column_stack([10.0 * np.arange(24), np.zeros(24)])
+    centres = places + far[:, None] * np.column_stack([np.cos(way), np.sin(way)])
+    rings = 0.1 * np.column_stack([np.cos(turn), np.sin(turn)])
+    xy = (centres[:, None] + rings).reshape(-1, 2)
+    points = np.concatenate([np.column_stack([xy, np.full(len(xy), z)]) for z in (0.8, 1.2)])
+    poles = pd.DataFrame(places, columns=["x_m", "y_m"]).assign(z_m=0.0, diameter_m=0.2)
+    found = plan_differences(points, poles, slices={"pole": ((0.5, 1.5),)})
+    assert found.loc[found["reason"] == "gross error", "name"].tolist() == [22, 23]
+    assert (found["reason"] == "").sum() == 22
+
+
 def test_slices_of_one_target_do_not_narrow_its_intervals(rng):
     table = pd.DataFrame(rng.normal(0, 0.01, (12, 2)), columns=["dx_m", "dy_m"])
     table = table.assign(x_m=np.arange(12.0), y_m=0.0, reason="")
     once, twice = (plan_accuracy(pd.concat([table] * k)).iloc[0] for k in (1, 2))
     half = t.ppf(0.975, 11) * 1000 * table["dx_m"].std() / np.sqrt(12)
+    squares = 1e6 * (table["dx_m"] ** 2 + table["dy_m"] ** 2).to_numpy()
     for row in (once, twice):
         assert row["mean_east_high_mm"] - row["mean_east_mm"] == pytest.approx(half)
-        assert row["rmse_low_mm"] < row["rmse_mm"] < row["rmse_high_mm"]
+        share = t.ppf(0.975, 11) * squares.std(ddof=1) / np.sqrt(12) / squares.mean() / 2
+        ends = row["rmse_mm"] * np.exp([-share, share])
+        assert [row["rmse_low_mm"], row["rmse_high_mm"]] == pytest.approx(ends)
 
 
 def test_heights_that_err_together_have_wider_intervals(rng):

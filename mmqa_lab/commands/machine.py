@@ -203,11 +203,35 @@ def sentence_of(error, given):
     backend = os.environ.get("MPLBACKEND", "").removeprefix("module://")
     if backend and backend in text and (isinstance(error, ImportError) or "backend" in text):
         return f"Invalid MPLBACKEND {backend}. Must name an installed module, or be agg."
-    if isinstance(error, CycloptsError | ImportError | OSError) or text.startswith("Invalid"):
+    if isinstance(error, CycloptsError):
+        return _call_sentence(error, text)
+    if isinstance(error, ImportError | OSError) or text.startswith("Invalid"):
         return text
     if isinstance(error, MemoryError):
         return f"Invalid input {given}: it needs more memory than there is. Must be smaller."
     return f"Invalid input {given}: no figures can be had from it. Must be as --help says."
+
+
+def _call_sentence(error, text):
+    """The sentence of a command line that does not fit to its command."""
+    token, kind = getattr(error, "token", None), type(error).__name__
+    if kind == "UnusedCliTokensError":
+        found, must = f"arguments {' '.join(error.unused_tokens)}", "left out, or joined by commas"
+    elif kind == "CoercionError" and token is not None:
+        found = f"{token.keyword or 'argument'} {token.value}"
+        must = {bool: "yes or no", int: "a whole number", float: "a number"}.get(
+            error.target_type, "as --help says"
+        )
+    elif kind == "MissingArgumentError":
+        found = f"command without {error.keyword or error.argument.name}"
+        must = "complete; see --help"
+    elif kind == "UnknownOptionError":
+        near = text.partition("Did you mean ")[2].rstrip("?")
+        found = f"option {token.keyword or token.value}"
+        must = f"one of --help{f', perhaps {near}' if near else ''}"
+    else:
+        found, must = f"command line: {text.rstrip('.')}", "as --help says"
+    return f"Invalid {found}. Must be {must}."
 
 
 def _say(command, sentence):

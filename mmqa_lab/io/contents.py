@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from mmqa_lab._checks import check_file, check_polygon, listed
+from mmqa_lab._checks import check_file, check_polygon, listed, refuse
 from mmqa_lab.cloud import Cloud, describe
 from mmqa_lab.io.clouds import iterate_cloud
 from mmqa_lab.io.files import plain_text
 from mmqa_lab.io.images import IMAGE_ENDINGS, read_bands
 from mmqa_lab.io.outlines import OUTLINE_ENDINGS, stored_outlines
 from mmqa_lab.io.rasters import is_raster, open_raster, system_of
-from mmqa_lab.io.signatures import form_of
+from mmqa_lab.io.signatures import RAW_ENDINGS, form_of, refuse_unread
 from mmqa_lab.io.tables import read_table
 from mmqa_lab.io.trajectories import SBET_ENDINGS, path_table
 
@@ -63,10 +63,14 @@ def describe_file(path: str | os.PathLike) -> Mapping[str, Any]:
         flat = [check_polygon(np.pad(ring, ((0, 0), (0, 1)))[:, :3]) for ring in rings]
         known = describe(Cloud(np.concatenate(flat), crs=crs)) | {"outlines": listed(names)}
         return {"kind": f"{len(names)} outlines", **known}
-    if is_raster(path):
+    if is_raster(path) and ending not in RAW_ENDINGS.split():
         with contextlib.suppress(ImportError):  # without rasterio a TIFF file is an image
             if found := _raster(path):
                 return found
+            placeless = ending not in IMAGE_ENDINGS
+            refuse(placeless, f"raster {path}", "no place or no size of its cells", "with both")
+    if ending in RAW_ENDINGS.split():
+        refuse_unread(path, "file")
     if ending in IMAGE_ENDINGS:
         bands, rows, columns = read_bands(path).shape
         return {"kind": "image", "image": f"{columns} x {rows} pixels, {bands} bands"}

@@ -221,6 +221,8 @@ def plain_text(path: str | os.PathLike) -> bytes:
     if code != "utf-8":
         raw = raw.decode(code, errors="replace").encode()
     raw = raw.removeprefix(codecs.BOM_UTF8)
+    if re.match(rb"\s*<(!doctype )?html", raw, re.IGNORECASE):
+        raise ValueError(f"Invalid file {path}: a web page. Must be the file that it links.")
     if (zero := raw.find(b"\0")) >= 0:
         line = raw.count(b"\n", 0, zero) + 1
         raise ValueError(f"Invalid file {path}: a zero byte in line {line}. Must be text.")

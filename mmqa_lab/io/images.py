@@ -17,7 +17,7 @@ import numpy as np
 
 from mmqa_lab._checks import check_file, refuse
 from mmqa_lab.io.files import HEAD, reading
-from mmqa_lab.io.signatures import refuse_unread
+from mmqa_lab.io.signatures import RAW_ENDINGS, refuse_unread
 
 __all__ = ["IMAGE_ENDINGS", "read_bands", "read_image"]
 
@@ -210,9 +210,9 @@ def _decoded(path, flags):
     log.setLogLevel(2)  # errors alone
     with reading(path, "image", IMAGES), _printed_below() as printed:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)  # any letters in the path
-    refuse(DAMAGED.search(printed.getvalue()), f"image {path}", "damaged", IMAGES)
     if pixels is None:
-        refuse_unread(path, "image", endings=False)
+        refuse_unread(path, "image", others=RAW_ENDINGS)
+    refuse(DAMAGED.search(printed.getvalue()), f"image {path}", "damaged", IMAGES)
     refuse(pixels is None, f"image {path}", "no image that can be decoded", IMAGES)
     return pixels
 

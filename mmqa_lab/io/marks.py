@@ -11,7 +11,7 @@ import numpy as np
 from mmqa_lab._checks import FARTHEST_M
 from mmqa_lab.cloud import extent
 
-__all__ = ["FLAGS", "Piece", "marked"]
+__all__ = ["FLAGS", "Piece", "marked", "without_height"]
 
 # Columns that tell which records are no points of a surface (LAS 1.4 R15).
 FLAGS = ("withheld", "classification", "synthetic", "overlap", "return_number", "number_of_returns")
@@ -19,8 +19,9 @@ FLAGS = ("withheld", "classification", "synthetic", "overlap", "return_number", 
 NOISE = (7, 18)
 OLD_OVERLAP = 12
 
-# Heights that stand for none.
-NO_DATA = (-9999.0, -99999.0, -999999.0, -32767.0, -32768.0)
+# Heights that stand for none; the first only if no other lies so near.
+NO_DATA = (-999.0, -9999.0, -99999.0, -999999.0, -32767.0, -32768.0)
+NEAR_M = 100.0
 
 # As many records at 0, 0, 0 are no points, and a single one where the others lie this far away.
 MOST_ZEROS = 10
@@ -67,6 +68,12 @@ def marked(piece):
     ]
 
 
+def without_height(z):
+    """Whether heights stand for none, as -9999; -999, too, if no other is near it."""
+    near = (np.abs(z - NO_DATA[0]) < NEAR_M) & (z != NO_DATA[0])
+    return np.isin(z, NO_DATA[int(near.any()) :])
+
+
 def _no_points(points):
     """Masks of rows that are not finite, and of those that stand for no point.
 
@@ -80,7 +87,7 @@ def _no_points(points):
         return {}
     finite = np.isfinite(points).all(axis=1)
     x, y, z = points.T
-    none = np.isin(z, NO_DATA) | ((x == y) & np.isin(x, NO_DATA))
+    none = without_height(z) | ((x == y) & np.isin(x, NO_DATA))
     none |= finite & (np.abs(points) > FARTHEST_M).any(axis=1)
     zeros = (points == 0).all(axis=1)
     others = points[finite & ~zeros & ~none]

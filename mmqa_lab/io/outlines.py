@@ -167,8 +167,9 @@ def _of_geojson(path, what):
     """The shapes of a GeoJSON file with their names, and the system that it names."""
     from shapely.geometry import shape
 
+    text = plain_text(path)
     with reading(path, "polygon", "GeoJSON"):
-        whole = json.loads(plain_text(path))
+        whole = json.loads(text)
     node = whole if isinstance(whole, dict) else {}
     shapes = []
     for one in node.get("features") or [node]:

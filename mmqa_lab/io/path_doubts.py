@@ -88,6 +88,9 @@ def check_scales(table, what):
     refuse(speed > FASTEST_M_S, what, f"a speed of {speed:.0f} m/s, as in mm", "in metres")
     whole = (time == np.round(time)).all() and np.median(seconds) >= 10
     refuse(whole and speed < SLOWEST_M_S, what, "times that look like ms", "in seconds")
+    if speed < SLOWEST_M_S:
+        told = f"{what[0].upper()}{what[1:]} moves at {speed:.2g} m/s"
+        warnings.warn(f"{told}: are its coordinates in metres, its times in seconds?", stacklevel=3)
 
 
 def matched_times(time, cloud, what):

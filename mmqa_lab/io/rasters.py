@@ -19,6 +19,7 @@ from mmqa_lab.cloud import Cloud
 from mmqa_lab.io.clouds import read_cloud
 from mmqa_lab.io.files import reading, write_atomically
 from mmqa_lab.io.images import MOST_VALUES, TIFF_ENDINGS
+from mmqa_lab.io.marks import without_height
 from mmqa_lab.io.systems import named_system
 from mmqa_lab.io.tables import NO_HEIGHT_M
 
@@ -149,7 +150,8 @@ def _raster_cloud(path):
             heights = file.read(1, masked=True)
     if pages > 1:
         warnings.warn(f"Read the first of {pages} pages of {path}.", stacklevel=3)
-    row, column = np.nonzero(~np.ma.getmaskarray(heights) & np.isfinite(heights.data))
+    known = ~np.ma.getmaskarray(heights) & np.isfinite(heights.data)
+    row, column = np.nonzero(known & ~without_height(heights.data.astype(np.float64)))
     x = place.a * (column + 0.5) + place.b * (row + 0.5) + place.c
     y = place.d * (column + 0.5) + place.e * (row + 0.5) + place.f
     z = scale * heights.data[row, column].astype(np.float64) + offset

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-__all__ = ["PTX_HEAD", "form_of", "refuse_unread"]
+__all__ = ["PTX_HEAD", "RAW_ENDINGS", "form_of", "refuse_unread"]
 
 # Columns and rows of a scan, the scanner's place and axes, and the matrix to the common system.
 PTX_HEAD = re.compile(
@@ -17,8 +17,16 @@ PTX_HEAD = re.compile(
 BEGUN = {"e57": rb"ASTM-E57", "las": rb"LASF", "ply": rb"(\xef\xbb\xbf)?ply\s"}
 BEGUN |= {"pcd": rb"# \.PCD|VERSION \.?\d[^\n]*\n(#.*\n)*FIELDS ", "ptx": PTX_HEAD.pattern}
 
+# Photographs as their sensors saw them; DNG is read.
+RAW_ENDINGS = (
+    ".cr2 .cr3 .crw .nef .nrw .arw .srf .sr2 .raf .orf .rw2 .pef .srw .x3f .3fr .iiq .erf .mrw"
+)
+
 # What is not read: how it begins, its endings, its name, and what to do.
 UNREAD = (
+    (rb"FUJIFILM|IIRO|IIU\0|FOVb|MM\0\*.{4}Ph|II\*\0.{4}CR|....ftypcrx", RAW_ENDINGS,
+     "a RAW photograph", "save it as TIFF of 16 bits"),
+    (rb"\s*<(!doctype )?html", ".html .htm", "a web page", "download the file itself"),
     (rb"PK\x03\x04", ".zip .kmz .7z .rar", "a compressed archive", "unpack it"),
     (rb"\x1f\x8b", ".gz .tgz", "a compressed archive", "unpack it"),
     (rb"\s*ncols\s+\d+", "", "an ESRI grid", "give it as reference heights"),
@@ -31,7 +39,6 @@ UNREAD = (
     (rb"\xd0\xcf\x11\xe0", ".xls", "an old Excel workbook", "save it as XLSX or CSV"),
     (rb"AC10\d\d", ".dwg", "a DWG drawing", "save it as DXF"),
     (rb"\0\0\0.ftyp(heic|heix|mif1)", ".heic .heif", "a HEIC photograph", "save it as JPEG"),
-    (rb"FUJIFILM|IIRO", ".cr2 .cr3 .nef .arw .raf .orf .rw2", "a RAW file", "save it as TIFF"),
     (rb"<\?xml|<kml", ".kml", "an XML file", "give outlines as --polygon"),
     (rb"%PDF", ".pdf", "a PDF", "save its tables as CSV"),
     (None, ".rcp .rcs .fls .lsproj .zfs .rxp .ptg .bin .cl3 .fws", "a scanner's own format",
@@ -48,12 +55,15 @@ def form_of(path):
     return next((name for name, mark in BEGUN.items() if re.match(mark, head)), "")
 
 
-def refuse_unread(path, name, *, endings=True):
-    """Raise a sentence that names the format of a file that is not read, if it is known."""
+def refuse_unread(path, name, *, others=None):
+    """Raise a sentence that names the format of a file that is not read, if it is known.
+
+    ``others`` are the endings that tell it, too; None for all of the table.
+    """
     with Path(path).open("rb") as file:
         head = file.read(4096)
     ending = Path(path).suffix.lower()
-    for mark, others, what, instead in UNREAD:
-        begins = mark is not None and re.match(mark, head, re.DOTALL)
-        if begins or (endings and ending in others.split()):
+    for mark, ends, what, instead in UNREAD:
+        begins = mark is not None and re.match(mark, head, re.DOTALL | re.IGNORECASE)
+        if begins or (ending in ends.split() and (others is None or ends == others)):
             raise ValueError(f"Invalid {name} {path}: {what}. Must be another; {instead}.")

@@ -33,7 +33,7 @@ PATH_UNITS = {"": 1.0, "s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1
 PATH_UNITS |= {"deg": 1.0, "degrees": 1.0, "°": 1.0, "gon": 0.9}
 PATH_UNITS |= dict.fromkeys(("rad", "radians"), 180 / np.pi)
 
-PATH_HEADER = "time in seconds, easting, northing, height"
+PATH_HEADER = "time in seconds; easting, northing, height in metres"
 PATH_ORDER = [*PATH_COLUMNS, *[*PATH_NAMES][1:]]
 
 # A record of an SBET file: 17 doubles, the 12th and later of which are rates.
