@@ -159,6 +159,12 @@ def test_a_web_page_in_place_of_a_file_is_named(tmp_path, read, ending):
         read(tmp_path / f"a.{ending}")
 
 
+def test_a_workbook_of_points_is_no_archive_to_unpack(tmp_path):
+    (tmp_path / "a.xlsx").write_bytes(b"PK\3\4" + bytes(99))
+    with pytest.raises(ValueError, match=r"a workbook\. Must be another; save its sheet as CSV"):
+        io.read_heights(tmp_path / "a.xlsx")
+
+
 @pytest.mark.parametrize(("height", "left"), [(100.0, 37), (-950.0, 39)])
 def test_minus_999_is_no_height_unless_others_are_near_it(tmp_path, height, left, rng):
     points = np.column_stack([rng.random((40, 2)), np.full(40, height)])

@@ -27,6 +27,7 @@ UNREAD = (
     (rb"FUJIFILM|IIRO|IIU\0|FOVb|MM\0\*.{4}Ph|II\*\0.{4}CR|....ftypcrx", RAW_ENDINGS,
      "a RAW photograph", "save it as TIFF of 16 bits"),
     (rb"\s*<(!doctype )?html", ".html .htm", "a web page", "download the file itself"),
+    (None, ".xlsx .xlsm .ods", "a workbook", "save its sheet as CSV"),
     (rb"PK\x03\x04", ".zip .kmz .7z .rar", "a compressed archive", "unpack it"),
     (rb"\x1f\x8b", ".gz .tgz", "a compressed archive", "unpack it"),
     (rb"\s*ncols\s+\d+", "", "an ESRI grid", "give it as reference heights"),
