@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterable
 from typing import Any
 
@@ -23,5 +24,7 @@ def progress(items: Iterable, unit: str, *, total: int | None = None) -> Any:
     from tqdm.auto import tqdm  # a bar of its own in a notebook
 
     nobody = True if os.environ.get("MMQA_HEADLESS") else None  # None: unless it is a terminal
-    look = {"leave": False, "ncols": 80, "nrows": 24, "delay": SHORT_S, "disable": nobody}
+    # some terminals say that their size is zero; in a notebook, 80 would be pixels
+    size = {"ncols": 80, "nrows": 24} if sys.stderr.isatty() else {}
+    look = {"leave": False, "delay": SHORT_S, "disable": nobody} | size
     return tqdm(items, desc=unit, total=total, **look)

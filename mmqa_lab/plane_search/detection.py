@@ -155,9 +155,9 @@ def detect_planes(
         )
     minimum = int(np.clip(LEAST_AREA * CELLS_PER_SIZE**2 * in_cell, *FEWEST_LIMITS))
     search = _Search(grid, tolerance, minimum)
-    for _ in progress(range(4), "rounds of the search for planes"):
-        if not search.round():
-            break
+    found = True
+    for _ in progress(range(4), "rounds of the search for planes"):  # to its end: no bar stays
+        found = found and search.round()
     return search.parts(order[grid.order])
 
 
