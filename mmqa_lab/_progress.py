@@ -27,4 +27,4 @@ def progress(items: Iterable, unit: str, *, total: int | None = None) -> Any:
     # some terminals say that their size is zero; in a notebook, 80 would be pixels
     size = {"ncols": 80, "nrows": 24} if sys.stderr.isatty() else {}
     look = {"leave": False, "delay": SHORT_S, "disable": nobody} | size
-    return tqdm(items, desc=unit, total=total, **look)
+    return tqdm(items, unit=unit, total=total, **look)

@@ -174,6 +174,7 @@ def test_a_leaf_on_one_pattern_alone_costs_no_finer_one(plain):
 
 FENCES = {
     "wires": (6.0, tuple((0, x, 5.0) for x in range(20, 1000, 50))),
+    "mesh": (4.0, tuple((axis, x, 5.0) for axis in (0, 1) for x in range(30, 1000, 100))),
     "bars": (5.0, tuple((0, x, 20.0) for x in range(30, 1000, 200))),
 }
 """Pixel sizes, mm, and what hides about 20 % of a chart."""

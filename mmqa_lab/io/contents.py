@@ -63,14 +63,14 @@ def describe_file(path: str | os.PathLike) -> Mapping[str, Any]:
         flat = [check_polygon(np.pad(ring, ((0, 0), (0, 1)))[:, :3]) for ring in rings]
         known = describe(Cloud(np.concatenate(flat), crs=crs)) | {"outlines": listed(names)}
         return {"kind": f"{len(names)} outlines", **known}
-    if is_raster(path) and ending not in RAW_ENDINGS.split():
+    if ending in RAW_ENDINGS.split():
+        refuse_unread(path, "file")
+    if is_raster(path):
         with contextlib.suppress(ImportError):  # without rasterio a TIFF file is an image
             if found := _raster(path):
                 return found
             placeless = ending not in IMAGE_ENDINGS
             refuse(placeless, f"raster {path}", "no place or no size of its cells", "with both")
-    if ending in RAW_ENDINGS.split():
-        refuse_unread(path, "file")
     if ending in IMAGE_ENDINGS:
         bands, rows, columns = read_bands(path).shape
         return {"kind": "image", "image": f"{columns} x {rows} pixels, {bands} bands"}

@@ -15,6 +15,7 @@ from pathlib import Path
 import pandas as pd
 
 from mmqa_lab._checks import check_kind, full_path
+from mmqa_lab.io.signatures import WEB_PAGE
 
 __all__ = ["alone", "own_folder", "plain_text", "reading", "write_atomically"]
 
@@ -221,7 +222,7 @@ def plain_text(path: str | os.PathLike) -> bytes:
     if code != "utf-8":
         raw = raw.decode(code, errors="replace").encode()
     raw = raw.removeprefix(codecs.BOM_UTF8)
-    if re.match(rb"\s*<(!doctype )?html", raw, re.IGNORECASE):
+    if re.match(WEB_PAGE, raw, re.IGNORECASE):
         raise ValueError(f"Invalid file {path}: a web page. Must be the file that it links.")
     if (zero := raw.find(b"\0")) >= 0:
         line = raw.count(b"\n", 0, zero) + 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-__all__ = ["PTX_HEAD", "RAW_ENDINGS", "form_of", "refuse_unread"]
+__all__ = ["PTX_HEAD", "RAW_ENDINGS", "WEB_PAGE", "form_of", "refuse_unread"]
 
 # Columns and rows of a scan, the scanner's place and axes, and the matrix to the common system.
 PTX_HEAD = re.compile(
@@ -22,11 +22,13 @@ RAW_ENDINGS = (
     ".cr2 .cr3 .crw .nef .nrw .arw .srf .sr2 .raf .orf .rw2 .pef .srw .x3f .3fr .iiq .erf .mrw"
 )
 
+WEB_PAGE = rb"\s*<(!doctype )?html"
+
 # What is not read: how it begins, its endings, its name, and what to do.
 UNREAD = (
     (rb"FUJIFILM|IIRO|IIU\0|FOVb|MM\0\*.{4}Ph|II\*\0.{4}CR|....ftypcrx", RAW_ENDINGS,
      "a RAW photograph", "save it as TIFF of 16 bits"),
-    (rb"\s*<(!doctype )?html", ".html .htm", "a web page", "download the file itself"),
+    (WEB_PAGE, ".html .htm", "a web page", "download the file itself"),
     (None, ".xlsx .xlsm .ods", "a workbook", "save its sheet as CSV"),
     (rb"PK\x03\x04", ".zip .kmz .7z .rar", "a compressed archive", "unpack it"),
     (rb"\x1f\x8b", ".gz .tgz", "a compressed archive", "unpack it"),

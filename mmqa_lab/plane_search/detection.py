@@ -156,7 +156,7 @@ def detect_planes(
     minimum = int(np.clip(LEAST_AREA * CELLS_PER_SIZE**2 * in_cell, *FEWEST_LIMITS))
     search = _Search(grid, tolerance, minimum)
     found = True
-    for _ in progress(range(4), "rounds of the search for planes"):  # to its end: no bar stays
+    for _ in progress(range(4), "round"):  # to its end: no bar stays
         found = found and search.round()
     return search.parts(order[grid.order])
 
@@ -240,7 +240,7 @@ class _Search:
         order = np.argsort(owner, kind="stable")
         starts = np.searchsorted(owner[order], np.arange(len(planes) + 1))
         parts, found = [], enumerate(np.split(order, starts)[1:-1])
-        for k, index in progress(found, "planes", total=len(planes)):
+        for k, index in progress(found, "plane", total=len(planes)):
             fitted = index[clear[index]]
             if len(index) < self.least or len(fitted) < 3:
                 continue

@@ -112,7 +112,7 @@ def describe(points, frame=None):
 
     def parts():
         """The points in that frame, a part at a time: a large cloud is held once."""
-        for first in progress(range(0, len(points), PART), "parts of the cloud"):
+        for first in progress(range(0, len(points), PART), "part"):
             yield (points[first : first + PART] - origin) @ turn
 
     def over_ground(part):
@@ -124,7 +124,7 @@ def describe(points, frame=None):
     thin = thinned(above, height_of)
     xy, scatter = candidates(thin) if len(above) else np.empty((2, 0, 2))
     found = [measure(thin, np.empty((0, 5)))]
-    for rows, part in progress(stripes(thin, xy), "stripes", total=-(-len(xy) // STRIPE)):
+    for rows, part in progress(stripes(thin, xy), "stripe", total=-(-len(xy) // STRIPE)):
         found.append(measure(part, fit_axes(part, xy[rows], scatter[rows])))
     axes, measures, shafts = zip(*found, strict=True)
     shaft = {name: np.concatenate([one[name] for one in shafts]) for name in shafts[0]}
