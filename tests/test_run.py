@@ -154,6 +154,7 @@ def test_an_answer_is_made_of_values_that_a_paper_can_quote(run):
     answer = read_record(run.folder)["answer"]
     assert answer["sentence"] == "At 5 m 54 km/h."
     assert answer["thumbnail"] == "speeds"
+    assert answer["kind"] == "predicted"
     assert pd.read_csv(run.folder / "values.csv").values.tolist() == [
         ["speed_kmh", 54.2, "km/h", "predicted"]
     ]

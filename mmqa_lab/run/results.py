@@ -256,6 +256,7 @@ class Run:
             "short": filled[1] or filled[0],
             "figure": figure,
             "thumbnail": thumbnail or figure,
+            "kind": kind,
             "values": list(numbers),
         }
         write_record(self.folder, self._record)
@@ -388,9 +389,9 @@ def new_record(folder):
     for left in folder.iterdir() if folder.is_dir() else ():
         if (left.name in ours or LEFT_OVER.fullmatch(left.name)) and not left.is_dir():
             left.unlink()
-    answer = {"sentence": "", "short": "", "figure": "", "thumbnail": "", "values": []}
+    answer = dict.fromkeys(("sentence", "short", "figure", "thumbnail", "kind"), "")
     record = {"quick": before.get("quick", False), "failure": UNFINISHED, "seconds": 0.0}
-    return record | {"answer": answer, "checks": [], "files": [], "figures": {}}
+    return record | {"answer": answer | {"values": []}, "checks": [], "files": [], "figures": {}}
 
 
 def read_record(folder):
