@@ -2,6 +2,7 @@
 
 import importlib.util
 import struct
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -57,6 +58,16 @@ def large_png(path):
     io.read_image(path)
 
 
+def wide_jpeg(path):
+    """A few bytes that say 2.7e9 values; OpenCV itself stops only at 2^30 pixels."""
+    cv2.imwrite(str(path), np.zeros((8, 8, 3), np.uint8), [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])
+    data = bytearray(path.read_bytes())
+    at = data.index(b"\xff\xc2") + 5
+    data[at : at + 4] = struct.pack(">HH", 30_000, 30_000)
+    path.write_bytes(data)
+    io.read_image(path)
+
+
 def photograph_with_a_hole(path):
     data = bytearray((samples.path("road_patch").parent / "chart_photo.jpg").read_bytes())
     del data[len(data) // 2 : len(data) // 2 + 300]
@@ -68,6 +79,18 @@ def large_chunk(path):
     data = bytearray(samples.path("road_patch").read_bytes())
     at = data.index(b"laszip encoded")
     data[at + 64 : at + 68] = struct.pack("<I", 2**31 - 1)
+    path.write_bytes(data)
+    io.read_cloud(path)
+
+
+def many_points(path, chunk=2**31 - 8, points=2**31 - 8):
+    """Header, record and chunk agree on more points than so few bytes can hold."""
+    io.write_cloud(path, np.random.default_rng(1).random((900, 3)))
+    data = bytearray(path.read_bytes())
+    (first,) = struct.unpack_from("<I", data, 96)
+    struct.pack_into("<QQ", data, 247, points, points)
+    struct.pack_into("<I", data, data.index(b"laszip encoded") + 64, chunk)
+    struct.pack_into("<I", data, first + 8 + 30, points)
     path.write_bytes(data)
     io.read_cloud(path)
 
@@ -120,6 +143,9 @@ HOSTILE = {
     "large.png": large_png,
     "hole.jpg": photograph_with_a_hole,
     "chunk.laz": large_chunk,
+    "many.laz": many_points,
+    "few.laz": partial(many_points, chunk=50_000),
+    "wide.jpg": wide_jpeg,
     "records.las": many_records,
     "layer.laz": large_layer,
     "far.xlsx": far_cell,

@@ -51,8 +51,10 @@ LINEAR_CURVES = (
 )  # fmt: skip
 ICC_HEAD = 128
 
-# Markers of JPEG without a length (ISO 10918-1, B.1.1.3).
+# Markers of JPEG without a length, and of frames (ISO 10918-1, B.1.1.3); bands by kind of PNG.
 BARE_MARKERS = (0x01, *range(0xD0, 0xD9), 0xFF)
+FRAME_MARKERS = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
+PNG_BANDS = {2: 3, 3: 3, 4: 2, 6: 4}
 
 
 def read_image(path: str | os.PathLike) -> np.ndarray:
@@ -202,9 +204,9 @@ def _decoded(path, flags):
     if not 0.4 < value < 0.5:
         told = "linear in light" if abs(value - 1) < 0.01 else f"of gamma {value:.2g}"
         warnings.warn(f"{path} states that its values are {told}, not sRGB.", stacklevel=3)
-    refuse(not _is_complete(data), f"image {path}", "cut short", IMAGES)
-    if data[:2] == b"\x89P":
-        _check_pixels(path, struct.unpack(">II", data[16:24].ljust(8, b"\0")))
+    complete, shape = _shape(data)
+    refuse(not complete, f"image {path}", "cut short", IMAGES)
+    _check_pixels(path, shape)
     _say_profile(data, path)
     log = cv2 if hasattr(cv2, "setLogLevel") else cv2.utils.logging  # OpenCV 4, and 5
     log.setLogLevel(2)  # errors alone
@@ -230,14 +232,20 @@ def _say_profile(data, path):
             warnings.warn(told, stacklevel=4)
 
 
-def _is_complete(data):
-    """Whether a JPEG or PNG file has its end, whatever stands behind it, as the film of a phone."""
+def _shape(data):
+    """Whether a JPEG or PNG file has its end, whatever stands behind it, and its pixels and bands.
+
+    Of other files OpenCV itself refuses more than 2^30 pixels.
+    """
     if data[:2] == b"\x89P":
-        return b"IEND" in data
+        high, wide, _, kind = struct.unpack(">IIBB", data[16:26].ljust(10, b"\0"))
+        return b"IEND" in data, (high, wide, PNG_BANDS.get(kind, 1))
     if data[:2] != b"\xff\xd8":
-        return True
-    at = 2
+        return True, ()
+    at, shape = 2, ()
     while data[at : at + 1] == b"\xff" and data[at + 1 : at + 2] not in (b"\xda", b""):
+        if data[at + 1] in FRAME_MARKERS:
+            shape = struct.unpack(">HHB", data[at + 5 : at + 10].ljust(5, b"\0"))
         bare = data[at + 1] in BARE_MARKERS
         at += 2 + (0 if bare else int.from_bytes(data[at + 2 : at + 4], "big"))
-    return data.find(b"\xff\xd9", at) >= 0
+    return data.find(b"\xff\xd9", at) >= 0, shape

@@ -30,8 +30,8 @@ COPC = "a COPC file whose host answers, also to ranges"
 # Points that are fetched from an address without an outline, and around an outline, m.
 MOST_FETCHED, MARGIN_M = 5_000_000, 1.0
 
-# Points of a chunk of LAZ that need no file of as many.
-LARGEST_CHUNK = 1_000_000
+# Points of a chunk of LAZ, and points of a byte of it, that need no larger file.
+LARGEST_CHUNK, MOST_OF_A_LAZ_BYTE = 1_000_000, 64
 
 # Degrees per unit of the LAS 1.4 field ``scan_angle`` (LAS 1.4 R15, point formats 6-10).
 SCAN_ANGLE_STEP = 0.006
@@ -131,10 +131,7 @@ def _check_sizes(path):
     with Path(path).open("rb") as file:
         head = file.read(375).ljust(375, b"\0")
         length, at_points, count = struct.unpack_from("<HII", head, 94)
-        extended, more, points = (
-            struct.unpack_from("<QIQ", head, 235) if head[25] >= 4 else (0, 0, 0)
-        )
-        points = max(points, *struct.unpack_from("<I", head, 107))
+        extended, more = struct.unpack_from("<QI", head, 235) if head[25] >= 4 else (0, 0)
         size, chunk, place = Path(path).stat().st_size, 0, length
         if length + 54 * count > min(at_points, size) or extended + 60 * more > size:
             raise ValueError("more records than bytes")
@@ -144,8 +141,8 @@ def _check_sizes(path):
             place += 54 + struct.unpack_from("<H", record, 20)[0]
             if record[2:16] == b"laszip encoded":
                 chunk = struct.unpack_from("<I", file.read(16).ljust(16, b"\0"), 12)[0]
-        if place > at_points or (LARGEST_CHUNK < chunk < 2**32 - 1 and chunk > points):
-            raise ValueError("records behind the first point, or a chunk of more points than all")
+        if place > at_points or max(LARGEST_CHUNK, size) < chunk < 2**32 - 1:
+            raise ValueError("records behind the first point, or a chunk of too many points")
 
 
 def _plain_source(path):
@@ -181,6 +178,9 @@ def las_pieces(path, chunk, columns):
         reader = laspy.open(_plain_source(path))
     with reader:
         header, read = reader.header, 0
+        most = max(LARGEST_CHUNK, MOST_OF_A_LAZ_BYTE * path.stat().st_size)
+        found = f"{header.point_count} points in so few bytes"
+        refuse(header.point_count > most, f"cloud {path}", found, LAS)
         _check_header(path, header)
         extra = len(header.vlrs.get("ExtraBytesVlr"))
         if extra > 1:

@@ -3,7 +3,8 @@
 ``python tests/benchmarks/fuzz.py`` makes 3,000 mutants of small files of every form that is read,
 by kind and seed, and counts what becomes of each: read, refused by a sentence, other words, death
 of the process, no answer. ``--count`` and ``--seed`` change how many and which, ``--first`` begins
-in the middle of a long run, and ``--only`` takes the files of some endings.
+in the middle of a long run, ``--only`` takes the files of some endings, and ``--unread`` draws
+mutants of some endings without reading them (a file of a GIS takes a process of its own).
 """
 
 import argparse
@@ -285,7 +286,7 @@ class Worker:
             self.child.wait()
 
 
-def fuzz(count, seed, keep=None, left_out=(), first=0, only=None):
+def fuzz(count, seed, keep=None, left_out=(), first=0, only=None, unread=()):
     """Rows (file, kind, number, outcome) of mutants, drawn over files and kinds."""
     rng, worker = random.Random(seed), Worker()
     with tempfile.TemporaryDirectory() as name:
@@ -305,7 +306,7 @@ def fuzz(count, seed, keep=None, left_out=(), first=0, only=None):
             kind = KINDS[number // len(files) % len(KINDS)]
             changed = folder / f"{number}_{file.name}"
             changes = damaged(file.name, file.read_bytes(), kind, rng)
-            if number < first:
+            if number < first or file.suffix in unread:
                 continue
             beside = SHAPE if file.suffix in SHAPE else ()  # four files are one
             for ending in beside:
@@ -330,15 +331,15 @@ def main():
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--only", nargs="+")
+    parser.add_argument("--unread", nargs="+", default=())
     parser.add_argument("--keep", type=Path)
     parser.add_argument("--worker", action="store_true")
     given = parser.parse_args()
     if given.worker:
         return read_lines()
     counts, bad = collections.defaultdict(collections.Counter), []
-    for name, kind, number, outcome in fuzz(
-        given.count, given.seed, given.keep, first=given.first, only=given.only
-    ):
+    drawn = {"first": given.first, "only": given.only, "unread": given.unread}
+    for name, kind, number, outcome in fuzz(given.count, given.seed, given.keep, **drawn):
         if kind == "sound":
             continue
         counts[name][outcome.split(":")[0].split(" -")[0]] += 1
