@@ -36,6 +36,9 @@ CUT, ONE_SIDED = 0.005, 0.025
 """Share of the step by which the two halves of a profile differ where one is clipped; and where
 something else is on one side."""
 
+NOISY = 0.03
+"""Half an interval of MTF50, as a share of it, from which it is said, as of noise or few phases."""
+
 ODD_SIDES = "the profile is not alike on both sides, as beside a second edge"
 
 STAR_PARTS, LARGEST_DRIFT, SEEN_SHARE = 12, 1.5, 0.7
@@ -61,13 +64,15 @@ def check(fit):
     refuse(several, "edge", leaves, "one edge between two plain sides")
 
 
-def remarks_on(fit, mtf50, turn, by_sigmoid):
-    """What is said about an edge."""
+def remarks_on(fit, mtf50, sigma, turn, by_sigmoid):
+    """What is said about an edge, whose MTF50 has that standard deviation."""
     cut = [side for side, sign in (("white", 1), ("black", -1)) if clipped(fit, sign)]
     bent, second = bend(fit), max(second_step(fit, -1), second_step(fit, 1))
     alone = not cut and second <= OTHER_STEP
     along_grid = f"edge within {SMALLEST_ANGLE_DEG:g} degrees of the pixel grid"
     levels = f"{1 / fit.rounding:.0f} grey values in the step and no noise"
+    known = 1.96 * sigma / mtf50
+    loose = f"MTF50 may be off by {known:.0%}, as its interval says"
     rings = f"noise of {fit.ringing:.1%} beside the edge alone, as of compression: MTF50 may be"
     rings += f" off by {4 * fit.ringing:.0%}"
     said = sentences(
@@ -81,6 +86,7 @@ def remarks_on(fit, mtf50, turn, by_sigmoid):
         (alone and one_sided(fit) > ONE_SIDED, ODD_SIDES),
         (fit.rounding * fit.rounded_alike > COARSE, f"{levels}: MTF50 may be a tenth too high"),
         (alone and fit.ringing > COMPRESSED, rings),
+        (known > NOISY and fit.ringing <= COMPRESSED, loose),
         (fit.hot > 0, f"{fit.hot} odd pixels left out"),
     )
     return tuple(said)

@@ -156,7 +156,8 @@ def fit_edge(image: ArrayLike, *, method: str = "binned") -> EdgeResponse:
     seen = by_bins(fit) if method == "binned" else _by_sigmoid(fit, shape)
     turn = abs((np.degrees(fit.angle) + 45) % 90 - 45)
     known = {"width_px": fit.width, "angle_deg": float(turn), "n": len(fit.values)}
-    remarks = remarks_on(fit, seen["mtf50"], turn, method != "binned")
+    mtf50 = seen["mtf50"], seen["mtf50_sigma"]
+    remarks = remarks_on(fit, *mtf50, turn, method != "binned")
     return EdgeResponse(frequencies=FREQUENCIES, remarks=remarks, **known, **seen)
 
 
