@@ -20,9 +20,9 @@ SHADOW, RELATIVE_STD = 6.0, 0.02
 """Deviations that hardly count; standard deviation of an observation, a share of its radiance, to
 begin with."""
 
-CONTRADICTS, HOT_SPOT_DEG = 3.5, 10.0
-"""Standard deviations by which a control target differs; angle between sun and view within which
-surfaces flash up."""
+CONTRADICTS, HOT_SPOT_DEG = 3.2, 10.0
+"""Standard deviations by which a control target differs, with six by chance in a hundredth of the
+blocks; angle between sun and view within which surfaces flash up."""
 
 LOOSE, FEWEST_TIES = 2.0, 8
 """Spread of an image's observations over that of most from which it is said, and their number."""
