@@ -10,6 +10,7 @@ import signal
 import stat
 import subprocess
 import sys
+import tempfile
 import time
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -23,7 +24,7 @@ import pyproj
 import pytest
 import xarray as xr
 
-from mmqa_lab import _compiled, io, maps, samples, views
+from mmqa_lab import io, maps, samples, views
 from mmqa_lab._checks.words import BEGINNINGS
 from mmqa_lab._compiled import _can_write
 from mmqa_lab._results import printed
@@ -33,6 +34,7 @@ from mmqa_lab.io import write_atomically
 from mmqa_lab.run.students import write_student_notebooks
 from mmqa_lab.studies import chosen
 
+ROOT = Path(__file__).parents[1]
 PATCH = str(samples.path("road_patch"))
 WRITER = """
 import sys
@@ -182,6 +184,9 @@ def studied(place):
         exec(TOY, {})
 
 
+TEMPORARY = re.compile(r"\.[0-9a-f]{16}\.\w+$")
+
+
 def lasting(file):
     """The bytes of a file, but for its date."""
     return re.sub(rb"<dc:date>[^<]*|/CreationDate \([^)]*\)", b"", Path(file).read_bytes())
@@ -220,6 +225,7 @@ def test_work_that_is_ended_at_any_file_is_whole_after_a_second_run(tmp_path, wo
         place = tmp_path / f"ended_{moment}"
         assert ended_at(moment, how, work, place) == how
         assert {*files_in(place).values()} <= {*written}  # none is half a file
+        assert [one for one in place.rglob(".*.*") if TEMPORARY.search(one.name)]  # beside it
         work(place)
         assert files_in(place) == sound
 
@@ -279,9 +285,36 @@ def test_compiled_code_is_not_kept_where_nothing_can_be_written(tmp_path):
     assert not _can_write(Path("/proc/none"))
 
 
-def test_functions_compile_where_package_and_home_are_read_only(monkeypatch):
-    monkeypatch.setattr(_compiled, "_can_write", lambda _: False)
-    assert _compiled.njit()(lambda x: x + 1)(1) == 2
+READ_ONLY = """
+import sys
+import mmqa_lab.lines
+from mmqa_lab._compiled import njit
+from mmqa_lab.commands import run
+assert njit()(lambda x: x + 1)(1) == 2
+sys.exit(run(["info", sys.argv[1]]))
+"""
+
+
+def test_a_package_and_a_home_that_are_read_only_do_their_work():
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        shutil.copytree(ROOT / "mmqa_lab", folder / "mmqa_lab", ignore=lambda *_: ["__pycache__"])
+        (folder / "home").mkdir()
+        shutil.copy(PATCH, folder / "a.laz")
+        for one in (folder, *folder.rglob("*")):
+            one.chmod(0o555 if one.is_dir() else 0o444)
+        other = ["setpriv", "--reuid=65534", "--regid=65534", "--clear-groups"]
+        other = other if os.geteuid() == 0 else []  # nothing is read only to root
+        places = {"HOME": str(folder / "home"), "PYTHONPATH": name, "XDG_CACHE_HOME": ""}
+        command = [*other, sys.executable, "-c", READ_ONLY, str(folder / "a.laz")]
+        choices = {"capture_output": True, "text": True, "timeout": 120, "cwd": "/"}
+        done = subprocess.run(command, env=os.environ | places, **choices)
+        left = {one for one in folder.rglob("*") if "__pycache__" in one.name}
+        for one in (folder, *folder.rglob("*")):
+            one.chmod(0o755)
+    assert done.returncode == 0, done.stderr
+    assert "28185" in done.stdout
+    assert not left
 
 
 # Other people's folders

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import openpyxl
 import pytest
+import rasterio
 
 from mmqa_lab import io, samples
 from mmqa_lab.io import outlines
@@ -119,6 +120,18 @@ def far_cell(path):
     io.read_table(path, "table")
 
 
+def sparse_raster(path):
+    """Heights of 400 million cells, none of them stored."""
+    place = rasterio.Affine(1, 0, 500_000, 0, -1, 5_400_000)
+    layout = {"driver": "GTiff", "count": 1, "dtype": "float32", "sparse_ok": True, "tiled": True}
+    layout |= {"blockxsize": 4096, "blockysize": 4096}
+    with rasterio.open(
+        path, "w", width=20_000, height=20_000, crs="EPSG:25832", transform=place, **layout
+    ):
+        pass
+    io.read_heights(path)
+
+
 def lzw_with_zeros(path):
     grey = cv2.GaussianBlur(np.random.default_rng(1).random((200, 300)) * 255, (0, 0), 2)
     cv2.imwrite(str(path), grey.astype(np.uint8), [cv2.IMWRITE_TIFF_COMPRESSION, 5])
@@ -150,6 +163,7 @@ HOSTILE = {
     "layer.laz": large_layer,
     "far.xlsx": far_cell,
     "endless.dxf": endless_dxf,
+    "sparse.tif": sparse_raster,
     "zeros.tif": lzw_with_zeros,
 }
 

@@ -22,6 +22,9 @@ __all__ = ["alone", "own_folder", "plain_text", "reading", "write_atomically"]
 # Bytes at the beginning of a text file that tell its letters.
 HEAD = 65_536
 
+# Constant fields are packed into next to nothing: so many points of a byte are still believed.
+MOST_PER_BYTE = 64
+
 # Space below which a library that fails has filled the disk: some leave room as they give up.
 FULL_BYTES = 2**20
 

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import listed, needs, refuse, type_step
-from mmqa_lab.io.files import HEAD, plain_text, reading
+from mmqa_lab.io.files import HEAD, MOST_PER_BYTE, plain_text, reading
 from mmqa_lab.io.marks import Piece
 from mmqa_lab.io.signatures import PTX_HEAD
 from mmqa_lab.io.tables import NO_NUMBERS
@@ -28,9 +28,6 @@ CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ", "cartesianInvalidState")
 SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation", "sphericalInvalidState")
 E57_COLUMNS = {"colorRed": "red", "colorGreen": "green", "colorBlue": "blue"}
 E57_COLUMNS |= {"rowIndex": "row", "columnIndex": "column", "timeStamp": "time"}
-
-# A packet holds constant fields in no bits: so many points of a byte are still believed.
-MOST_PER_BYTE = 64
 
 
 def e57_pieces(path, scan=None):

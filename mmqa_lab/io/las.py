@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice, check_columns, check_points, refuse
 from mmqa_lab.cloud import Cloud, extent
-from mmqa_lab.io.files import reading, write_atomically
+from mmqa_lab.io.files import MOST_PER_BYTE, reading, write_atomically
 from mmqa_lab.io.marks import FLAGS, Piece
 from mmqa_lab.io.outlines import plan_extent
 from mmqa_lab.io.systems import las_system
@@ -30,8 +30,8 @@ COPC = "a COPC file whose host answers, also to ranges"
 # Points that are fetched from an address without an outline, and around an outline, m.
 MOST_FETCHED, MARGIN_M = 5_000_000, 1.0
 
-# Points of a chunk of LAZ, and points of a byte of it, that need no larger file.
-LARGEST_CHUNK, MOST_OF_A_LAZ_BYTE = 1_000_000, 64
+# Points of a chunk of LAZ, and of all, that need no larger file.
+LARGEST_CHUNK = 1_000_000
 
 # Degrees per unit of the LAS 1.4 field ``scan_angle`` (LAS 1.4 R15, point formats 6-10).
 SCAN_ANGLE_STEP = 0.006
@@ -178,7 +178,7 @@ def las_pieces(path, chunk, columns):
         reader = laspy.open(_plain_source(path))
     with reader:
         header, read = reader.header, 0
-        most = max(LARGEST_CHUNK, MOST_OF_A_LAZ_BYTE * path.stat().st_size)
+        most = max(LARGEST_CHUNK, MOST_PER_BYTE * path.stat().st_size)
         found = f"{header.point_count} points in so few bytes"
         refuse(header.point_count > most, f"cloud {path}", found, LAS)
         _check_header(path, header)

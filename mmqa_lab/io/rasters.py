@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from mmqa_lab._checks import check_file, check_same_crs, needs, refuse
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io.clouds import read_cloud
-from mmqa_lab.io.files import reading, write_atomically
+from mmqa_lab.io.files import MOST_PER_BYTE, reading, write_atomically
 from mmqa_lab.io.images import MOST_VALUES, TIFF_ENDINGS
 from mmqa_lab.io.marks import without_height
 from mmqa_lab.io.systems import named_system
@@ -33,6 +33,9 @@ DRIVERS |= {"netCDF": rb"CDF[\1\2\5]|\x89HDF"}
 
 # Cells narrower than this are in degrees.
 NARROWEST_CELL_M = 0.001
+
+# Cells of a raster of heights that need no larger file.
+FEW_CELLS = 20_000_000
 
 METRES = ("", "m", "metre", "meter", "metres", "meters")
 
@@ -94,6 +97,8 @@ def read_heights(path: str | os.PathLike, *, crs: object = None) -> np.ndarray:
         told = f"Dropped {lost} of {max(total, len(cloud))} heights of {path}"
         warnings.warn(f"{told}: none, or {NO_HEIGHT_M:.0f} m and more.", stacklevel=2)
     points = cloud.points[~high]
+    if total:  # no cell is there twice
+        return points
     first = np.sort(np.unique(points, axis=0, return_index=True)[1])
     if twice := len(points) - len(first):
         warnings.warn(f"Dropped {twice} points of {path} that are given twice.", stacklevel=2)
@@ -131,6 +136,9 @@ def _raster_cloud(path):
     with open_raster(path, "reference") as (file, _):
         pages = len(file.subdatasets)
         refuse(file.count != 1, what, f"{file.count} bands", RASTERS)
+        most = max(FEW_CELLS, MOST_PER_BYTE * path.stat().st_size)
+        found = f"{file.width} x {file.height} cells in so few bytes"
+        refuse(file.width * file.height > most, what, found, RASTERS)
         one_bit = file.tags(1, ns="IMAGE_STRUCTURE").get("NBITS") == "1"
         kind = "bool" if one_bit else file.dtypes[0]
         refuse(one_bit or kind.startswith("complex"), what, f"values of type {kind}", "heights")
