@@ -47,9 +47,9 @@ def doubts(quality):
         (clipped > 0.05, f"{clipped:.0%} of the plain pixels are clipped"),
         (residual > 1, f"bars end {residual:.1f} px from their places"),
         (len(unseen), f"an end is not seen where the map has it: {', '.join(unseen)}"),
-        (len(hidden), f"hidden: {', '.join(hidden)}"),
+        (len(hidden), f"hidden: {', '.join(hidden)}, by a thing, glare or a shadow's edge"),
         (len(moved), f"bars are not where they are printed: {', '.join(moved)}"),
-        (abs(tone - 0.5) > 0.12, toned),
+        (abs(tone - 0.5) > 0.12 and not hidden, toned),  # what hides has a tone of its own
         *((True, f"{names} have contrast: w_{one} may be coarse") for one, names in coarse),
         *((True, f"no line pairs are resolved in direction {one}") for one in unread),
     )

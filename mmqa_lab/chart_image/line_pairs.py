@@ -80,7 +80,10 @@ def read_pairs(tones: Tones, layout: Layout, chart_map: ChartMap) -> pd.DataFram
     # what is finer than all that is resolved may be too fine, whatever is around it
     finest = table.loc[table["resolved"], "width_px"].min()
     seen = table["resolved"] | (table["width_px"] < np.fmax(finest, SMALLEST_PAIR_PX))
-    table.loc[table["name"].isin(crossed) & ~seen, "reason"] = HIDDEN
+    # where motion leaves nothing of a direction, it leaves no plain white either
+    some = table.groupby("direction")["resolved"].transform("any")
+    free = some | (table["contrast"] >= SURE_CONTRAST)
+    table.loc[table["name"].isin(crossed) & ~seen & free, "reason"] = HIDDEN
     for _, ladder in table.groupby("direction"):
         # lobes of defocus and motion stay below that: what is coarser would be seen too
         sure = ladder["resolved"] & (ladder["contrast"] >= SURE_CONTRAST)

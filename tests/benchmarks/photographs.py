@@ -34,6 +34,7 @@ KINDS = {
     "bars of 40 mm, 20 %": strips((0,), 20.0, 200),
     "bars of 30 mm, 15 %, level": strips((1,), 15.0, 200),
     "mirrored": {},
+    "glare": {},
     "seam of 1 px": {},
     "chroma noise": {},
 }
@@ -44,6 +45,12 @@ def changed(name, image, rng):
     """The photograph after a change of that name."""
     if name == "mirrored":
         return np.ascontiguousarray(image[:, ::-1])
+    if name == "glare":  # a lamp beside the chart, spread by the lens over a fifth of the image
+        y, x = np.indices(image.shape[:2])
+        at = rng.uniform(0, 1, 2) * image.shape[:2]
+        away = np.hypot(y - at[0], x - at[1]) / max(image.shape[:2])
+        light = (image / 255.0) ** 2.2 + 0.8 * np.exp(-away / 0.2)[..., None]
+        return np.uint8(255 * np.clip(light, 0, 1) ** (1 / 2.2))
     if name == "seam of 1 px":
         middle = image.shape[1] // 2
         return np.concatenate([image[:, :middle], np.roll(image[:, middle:], 1, axis=0)], axis=1)
