@@ -142,6 +142,7 @@ def test_real_files_of_other_programs(real):
     ("a.xyz", b"SQLite format 3\0", "a GeoPackage"),
     ("scan.fls", b"whatever", "a scanner's own format. Must be another; save it as E57"),
     ("c.obj", b"v 1 2 3\n", "a mesh"),
+    ("a.fgb", b"fgb\x03fgb\0", "a FlatGeobuf. Must be another; give it as --polygon"),
 ])  # fmt: skip
 def test_what_is_not_read_is_named(tmp_path, name, content, part):
     (tmp_path / name).write_bytes(content)

@@ -358,6 +358,8 @@ FORMS = {
     "trailing": lambda rows: "x,y,z\n" + rows.replace(" ", ",").replace("\n", ",\n"),
     "pipes": lambda rows: rows.replace(" ", " | "),
     "no numbers": lambda rows: rows + "-nan(ind) 1 2\n1.#QNAN 3 4\n5 6 1.#INF\n",
+    "E N H": lambda rows: "E,N,H\n" + rows.replace(" ", ","),
+    "units": lambda rows: "x,y,z\nm,m,m\n" + rows.replace(" ", ","),
     "Rechtswert": lambda rows: "Rechtswert;Hochwert;Höhe\n" + rows.replace(" ", ";"),
 }
 
@@ -387,6 +389,9 @@ def test_texts_of_any_form_are_the_same_cloud(tmp_path, form, letters, end, endi
         ("x,y,z\n" + "0,8916,0,3159,0,0038\n" * 4, "decimal commas between commas"),
         ("0,8916,1,0159,2,0038\n" * 4, "decimal commas between commas"),
         ("x,y,z,x,y,z\n1,2,3,4,5,6\n", "column 'x' twice"),
+        ("x,y,z\nmm,mm,mm\n1,2,3\n", r"columns x \[mm\], y \[mm\], z \[mm\]. Must .* in metres"),
+        ("x,y,z\nus-ft,us-ft,us-ft\n1,2,3\n", r"x \[us-ft\].* Must .* in metres"),
+        ("Y,X,H\n1,2,3\n", "columns Y, X, H. Must have x, y, z in metres"),
         ("P0,1,2,3\nP1,4,5,6\nP2,7,8,9\n", "its first columns are not x, y, z"),
         ("1 2 3\n" * 5 + "1 2 3 4\n", "4 columns in line 6 after 3 before"),
         ("x y z\n1 2 m\n", "no finite number in row 1 of column z, 'm'"),
@@ -498,7 +503,9 @@ def test_paths_that_would_be_taken_wrongly_are_refused_or_said(tmp_path):
     with pytest.raises(ValueError, match="the GPS week ends"):
         written("time,x,y,z", np.column_stack([week, PATH[:, 1:]]))
     headed = np.column_stack([week, PATH[:, 1:], np.full(20, 90)])
-    assert "The GPS week ends" in written("time,x,y,z,heading", headed)[1]
+    told = written("time,x,y,z,heading", headed)[1]
+    assert "The GPS week ends" in told
+    assert "moves at" not in told
     radians = np.column_stack([PATH, np.full(20, np.pi / 2)])
     with pytest.raises(ValueError, match="look like radians"):
         written("time,x,y,z,heading", radians)

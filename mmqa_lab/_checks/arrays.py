@@ -22,6 +22,7 @@ FARTHEST_M = 1e15
 
 # Names of coordinates in tables.
 PLAN_NAMES = (("x", "y"), ("easting", "northing"), ("east", "north"), ("rechtswert", "hochwert"))
+PLAN_NAMES += (("e", "n"), ("rechts", "hoch"))
 
 HEIGHT_NAMES = ("z", "height", "elevation", "altitude", "up", "höhe", "hoehe")
 
@@ -88,7 +89,8 @@ def coordinate_columns(names: Iterable[str]) -> list[str]:
     """
     plain = {plain_name(name): name for name in reversed([*names])}
     plan = next((pair for pair in PLAN_NAMES if all(name in plain for name in pair)), ())
-    height = next((name for name in HEIGHT_NAMES if plan and name in plain), None)
+    heights = (*HEIGHT_NAMES, "h") if plan != PLAN_NAMES[0] else HEIGHT_NAMES  # y, x, h: x north
+    height = next((name for name in heights if plan and name in plain), None)
     return [plain[name] for name in (*plan, height) if name is not None]
 
 

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 __all__ = ["OUTLINE_ENDINGS", "read_outlines", "read_polygon", "write_outlines", "write_polygon"]
 
 JSON_ENDINGS = (".json", ".geojson")
-OUTLINE_ENDINGS = (*JSON_ENDINGS, ".gpkg", ".shp", ".kml", ".dxf", ".wkt")
+OUTLINE_ENDINGS = (*JSON_ENDINGS, ".gpkg", ".shp", ".fgb", ".kml", ".dxf", ".wkt")
 
 # Fields that name an outline, the first that is there.
 NAME_FIELDS = ("name", "label", "title", "id", "fid", "layer")
@@ -82,7 +82,7 @@ def read_outlines(
     Parameters
     ----------
     source : path or str
-        GeoPackage, shapefile, KML, DXF, GeoJSON or WKT (also in a column of a CSV file); a CSV file
+        GeoPackage, shapefile, FlatGeobuf, KML, DXF, GeoJSON or WKT (also in a column of a CSV file); a CSV file
         with a vertex in a line (x, y, z; header optional); or the vertices themselves:
         ``"x,y,z; x,y,z; x,y,z"``.
     crs : pyproj.CRS, optional

@@ -35,6 +35,7 @@ UNREAD = (
     (rb"\s*ncols\s+\d+", "", "an ESRI grid", "give it as reference heights"),
     (rb"SQLite format 3", ".gpkg", "a GeoPackage", "give it as --polygon"),
     (rb"\0\0\x27\x0a", ".shp", "a shapefile", "give it as --polygon"),
+    (rb"fgb\x03fgb", ".fgb", "a FlatGeobuf", "give it as --polygon"),
     (rb"II\*\0|MM\0\*", "", "a TIFF file", "give it as an image or as reference heights"),
     (rb"\x89HDF|CDF[\1\2]", ".h5 .nc", "an HDF or NetCDF file", "save it as LAS or text"),
     (rb"#ROSBAG|\x89MCAP", ".bag .mcap .db3", "a robot's log", "save its clouds as PCD"),

@@ -49,7 +49,10 @@ ERROR_WORDS = re.compile(rb"#([A-Z/0]+[!?]|N/[AD]|NV\b)|-?1\.#[A-Z]+\d*")
 
 # Excel's line that names the separator, and a unit in a row of units.
 SEPARATOR_LINE = re.compile(rb'"?sep=."?\s*')
-UNIT_WORD = re.compile(r"|[(\[].*[)\]]|m|s|sec|deg|rad|gon|degrees|metres|meters|seconds")
+UNIT_WORD = re.compile(
+    r"|[(\[].*[)\]]|[kcmd]?m|(us[ -]?|i|s)?ft|feet|foot|in|[mun]?s|sec|deg|rad|gon|degrees|metres|meters"
+    r"|seconds"
+)
 
 # Cells of a workbook's sheet at most, empty ones before the last counted.
 MOST_ENTRIES = 2e7
@@ -236,7 +239,8 @@ def text_places(path: str | os.PathLike, name: str, *, finite: bool = True) -> t
     what, table = f"{name} {path}", text_table(path, name)
     names = coordinate_columns(table.columns)
     if len(names) < 3:
-        raise ValueError(f"Invalid {what} with columns {listed(table.columns)}. Must have x, y, z.")
+        found, must = f"columns {listed(table.columns)}", "x, y, z in metres"
+        raise ValueError(f"Invalid {what} with {found}. Must have {must}.")
     places = with_numbers(table, names, what, finite=finite)[names].to_numpy()
     return places, {other: table[other].to_numpy() for other in table.columns.drop(names)}
 

@@ -132,8 +132,10 @@ def read_trajectory(
     refuse(midnight, what, "the day ends within it", "of one day, or in seconds of the week")
     table = table.sort_values("time_s", ignore_index=True)
     refuse((table["time_s"].diff() <= 0).any(), what, "a time repeats", "distinct times")
-    check_scales(table, what)
-    check_headings(table, what)
+    late = table["time_s"] + WEEK_S * (wrapped & (table["time_s"] < WEEK_S / 2))
+    driven = table.assign(time_s=late).sort_values("time_s", ignore_index=True)
+    check_scales(driven, what)
+    check_headings(driven, what)
     if wrapped:
         check_columns(table, ["heading_deg"], f"{what}, in which the GPS week ends")
         warnings.warn(f"The GPS week ends within {what}: its times are in two parts.", stacklevel=2)
@@ -178,7 +180,7 @@ def _named(table):
 
 def _plain_height(name):
     """Whether a column is named as heights are."""
-    return len(coordinate_columns(["x", "y", name])) > 2
+    return len(coordinate_columns(["e", "n", name])) > 2
 
 
 def _projected(table, crs, what):
