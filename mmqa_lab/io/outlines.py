@@ -82,9 +82,9 @@ def read_outlines(
     Parameters
     ----------
     source : path or str
-        GeoPackage, shapefile, FlatGeobuf, KML, DXF, GeoJSON or WKT (also in a column of a CSV file); a CSV file
-        with a vertex in a line (x, y, z; header optional); or the vertices themselves:
-        ``"x,y,z; x,y,z; x,y,z"``.
+        GeoPackage, shapefile, FlatGeobuf, KML, DXF, GeoJSON or WKT (also in a column of a CSV
+        file); a CSV file with a vertex in a line (x, y, z; header optional); or the vertices
+        themselves: ``"x,y,z; x,y,z; x,y,z"``.
     crs : pyproj.CRS, optional
         Of the cloud: outlines in another are transformed in plan, their heights stay.
     points : array_like, shape (n, 3), optional

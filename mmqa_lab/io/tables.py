@@ -50,8 +50,8 @@ ERROR_WORDS = re.compile(rb"#([A-Z/0]+[!?]|N/[AD]|NV\b)|-?1\.#[A-Z]+\d*")
 # Excel's line that names the separator, and a unit in a row of units.
 SEPARATOR_LINE = re.compile(rb'"?sep=."?\s*')
 UNIT_WORD = re.compile(
-    r"|[(\[].*[)\]]|[kcmd]?m|(us[ -]?|i|s)?ft|feet|foot|in|[mun]?s|sec|deg|rad|gon|degrees|metres|meters"
-    r"|seconds"
+    r"|[(\[].*[)\]]|[kcmd]?m|metres|meters|(us[ -]?|i|s)?ft|feet|foot|in"
+    r"|[mun]?s|sec|seconds|deg|degrees|rad|gon"
 )
 
 # Cells of a workbook's sheet at most, empty ones before the last counted.
