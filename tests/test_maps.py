@@ -21,6 +21,7 @@ from hypothesis import strategies as st
 from mmqa_lab import io, maps
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.cloud import Cloud
+from mmqa_lab.commands.clouds import metrics_of
 from mmqa_lab.metrics import METRICS
 
 
@@ -342,7 +343,7 @@ def test_summary_has_the_quantiles_of_the_cells():
     assert table.loc["f", "n"] == len(known)
 
 
-def test_metrics_of_the_field_and_of_ones_own_stand_in_a_map(tmp_path):
+def test_metrics_of_the_field_and_of_ones_own_stand_in_a_map(monkeypatch, tmp_path):
     points = street()
     found = maps.map_cloud(points, cell=1.0, metrics=["e95_of_3", "noise_of_a_mean", "e95"])
     row, column = 2, 3
@@ -362,6 +363,10 @@ def test_metrics_of_the_field_and_of_ones_own_stand_in_a_map(tmp_path):
         [sys.executable, "-m", "mmqa_lab", *words], cwd=tmp_path, capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr
+    (tmp_path / "broken.py").write_text("def points(chart):\n    return chart.points\n")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ValueError, match="Invalid metric broken:points: AttributeError"):
+        metrics_of("broken:points")["points"](chart)
     again = maps.open_map(tmp_path / "m.run")
     known = again["n"].values >= maps.cells.MINIMUM
     assert (again["points"].values[known] == again["n"].values[known]).all()

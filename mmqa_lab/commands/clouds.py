@@ -2,6 +2,7 @@
 
 import re
 import warnings
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -353,8 +354,22 @@ def metrics_of(text):
     for word in METRICS if text == "all" else text.split(","):
         if ":" in word:
             name, function = named_function(word)
+            function = partial(_own_value, word, function)
         else:
             name = check_known(word.strip(), "metric", METRICS)
             function = METRICS[name]
         found[name] = function
     return found
+
+
+def _own_value(word, function, chart):
+    """What a reader's own metric gives for a chart."""
+    from mmqa_lab.metrics.pattern import Unmeasured
+
+    try:
+        return float(function(chart))
+    except Unmeasured:
+        raise
+    except Exception as error:  # the function of a reader may raise anything
+        found = f"{word}: {type(error).__name__}: {error}"
+        raise ValueError(f"Invalid metric {found}. Must give a number for a chart.") from error
