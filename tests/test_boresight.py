@@ -6,6 +6,7 @@ import pytest
 
 from mmqa_lab.boresight import calibrate, corrected
 from mmqa_lab.boresight.adjustment import OnPlanes, OnPoles, Shots
+from mmqa_lab.boresight.mounting import points_at_control, poles_in_common
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.simulate import straight
 from mmqa_lab.simulate.test_field import make_test_field
@@ -73,6 +74,16 @@ def test_slopes_are_those_of_the_misfits(kind, rng):
         assert np.abs(off).max() < 1e-3 * np.abs(slopes[:, k]).max()
 
 
+def test_heights_of_the_ground_are_those_of_road_and_pavement_but_not_of_their_edges(street):
+    """A build-out reaches 2 m into the road from 15 to 21 m; its ends and all curbs have none."""
+    places = [(0, 5), (3.8, 14.5), (3.8, 14.7), (3.8, 21.3), (3.8, 21.5), (3.8, 18), (3.2, 18)]
+    places += [(2, 15.1), (2, 18), (7, 18), (-7, 18), (5.2, 5), (8.8, 5)]
+    height = street.height(np.array(places) + street.origin[:2]) - street.origin[2]
+    none = np.nan
+    wanted = [0, 0, none, none, 0, 0.12, none, 0, 0, 0.12, 0.12, none, none]
+    assert height == pytest.approx(np.array(wanted), abs=1e-6, nan_ok=True)
+
+
 def test_poles_whose_arcs_have_passed_each_other_are_brought_together():
     """Of a pole of 6 cm, each side moved by 5 cm along its beams: past the other one."""
     turn, height = np.radians(np.linspace(-60, 60, 41)), np.linspace(0, 3, 41)
@@ -84,6 +95,33 @@ def test_poles_whose_arcs_have_passed_each_other_are_brought_together():
     shots = Shots(np.zeros(82, int), np.zeros(82, int), *still, np.zeros((82, 3)), points)
     misfit = OnPoles(shots, [(np.arange(82), (ways, 0.03))]).rows(np.zeros((1, 6)))[0]
     assert misfit[[20, 61]] == pytest.approx(-0.05, abs=0.01)  # both lie behind their side
+
+
+def test_of_a_pole_its_skin_is_taken_and_what_stands_beside_it_is_left():
+    """Two groups of 30 points on a pole of 12 cm, and four of each 20 cm beside its axis."""
+    turn = np.tile(np.linspace(0, 6, 30), 2)
+    skin = 0.06 * np.column_stack([np.cos(turn), np.sin(turn)])
+    aside = np.repeat([[0.2, 0.0], [0.0, 0.2]], 4, axis=0)
+    height = np.linspace(0.5, 3, 68)
+    placed = np.column_stack([np.vstack([skin, aside]), height])
+    group = np.concatenate([np.repeat([0, 1], 30), np.tile([0, 1], 4)])
+    poles = pd.DataFrame({"x_m": [0.0], "y_m": 0.0, "z_m": 0.0, "diameter_m": 0.12})
+    ((index, (ways, radius)),) = poles_in_common(placed, group, poles, np.zeros(3))
+    assert sorted(index) == [*range(60)]
+    assert radius == 0.06
+    assert ways == pytest.approx(skin[index] / 0.06, abs=0.02)
+
+
+def test_points_at_a_control_point_lie_near_it_in_plan_and_height():
+    """20 points within 10 cm of the second of two, as many above it and as many beside it."""
+    around = 0.1 * np.column_stack(
+        [*np.random.default_rng(1).uniform(-1, 1, (2, 20)), np.zeros(20)]
+    )
+    control = np.array([[0.0, 0.0, 0.0], [9.0, 0.0, 1.0]])
+    moved = [control[1] + step for step in ([0, 0, 0], [0, 0, 0.4], [0.5, 0, 0])]
+    ((index, height),) = points_at_control(np.vstack([around + to for to in moved]), control)
+    assert sorted(index) == [*range(20)]
+    assert height == 1.0
 
 
 def test_bad_surveys_are_refused_or_said(survey):

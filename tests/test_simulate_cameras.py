@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from rendered import slanted_edge, step_seen_by_pixel
+from scipy.ndimage import gaussian_filter
 from scipy.special import j1
 
 from mmqa_lab import charts
@@ -15,6 +16,8 @@ from mmqa_lab.simulate.cameras import (
     chart_view,
     photograph,
 )
+from mmqa_lab.simulate.targets.resolution import blur_over_image
+from mmqa_lab.studies import image_resolution
 
 IDEAL = Sensor(black=0.0, white=1.0, noise=0.0)
 
@@ -171,3 +174,16 @@ def test_mosaics_see_the_colours_of_a_chart():
     grey = photograph(layout, flat_map(0.5, (0, 200)), sensor=Sensor(noise=0.0))
     luminance = 0.06 + 0.64 * np.dot([0.2126, 0.7152, 0.0722], red)
     assert grey.image[60:-60, 40:80] == pytest.approx(luminance, abs=1e-4)
+
+
+def test_a_blur_that_changes_over_the_image_is_the_even_one_where_it_stays():
+    rng = np.random.default_rng(1)
+    scene, sigma = rng.random((40, 60)), np.linspace(0.5, 2, 60) * np.ones((40, 1))
+    assert blur_over_image(np.full((40, 60), 0.7), sigma) == pytest.approx(0.7)
+    found = blur_over_image(scene, sigma)
+    for column in (0, 59):
+        even = gaussian_filter(scene, sigma[0, column], mode="reflect")[:, column]
+        assert found[:, column] == pytest.approx(even, abs=1e-6)
+    noise = image_resolution.noisy(np.zeros((200, 200)), 0.1, rng)
+    contrast = image_resolution.HIGH - image_resolution.LOW
+    assert noise.std() == pytest.approx(0.1 * contrast, rel=0.02)

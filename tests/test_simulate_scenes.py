@@ -149,3 +149,14 @@ def test_many_equal_boxes_do_not_break_the_tree():
     stack = [disc((0, 0, 0), (1, 0, 0), 1.0) for _ in range(300)]
     hits = Scene(stack).cast([[5, 0, 0]], [[-1, 0, 0]])
     assert hits.range_m[0] == pytest.approx(5, abs=1e-12)
+
+
+def test_an_opening_has_reveals_on_its_four_sides_and_wall_around_it():
+    """From the middle of an opening 2 m wide and 3 m high, and from the road around it."""
+    scene = Scene(simulate.wall((5, 0, 0), (0, 9, 0), 6, openings=[(4, 1, 2, 3)]))
+    hits = scene.cast([[5.1, 5, 2.5]] * 4, [[0, -1, 0], [0, 1, 0], [0, 0, -1], [0, 0, 1]])
+    assert hits.range_m == pytest.approx([1, 1, 1.5, 1.5])
+    assert {scene.surfaces[k].label for k in hits.surface} == {"reveal"}
+    aside = [(3.9, 2), (6.1, 2), (5, 0.9), (5, 4.1), (5, 2)]
+    hits = scene.cast([[0, y, z] for y, z in aside], [[1, 0, 0]] * 5)
+    assert hits.range_m == pytest.approx([5, 5, 5, 5, 5.2])

@@ -463,3 +463,11 @@ def test_the_tables_of_the_paper_are_its_printed_ones():
         row.printed if row.quantity == "legibility" else str(row.threshold)
         for row in criteria.itertuples()
     ]
+
+
+@pytest.mark.parametrize(("quantity", "found"), [
+    ("own_figure", True), ("figure (mm)", False), ("e95_mm", True), ("w_mm", False), ("", False),
+])  # fmt: skip
+def test_a_remark_doubts_the_figures_that_it_names(quantity, found):
+    remark = "Own_figure is coarse. e95 has no interval."
+    assert tables.doubted(quantity, remark) == found
