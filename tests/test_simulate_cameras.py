@@ -16,7 +16,12 @@ from mmqa_lab.simulate.cameras import (
     chart_view,
     photograph,
 )
-from mmqa_lab.simulate.targets.resolution import blur_over_image
+from mmqa_lab.simulate.targets.resolution import (
+    PointSpread,
+    blur_over_image,
+    render_bars,
+    render_star,
+)
 from mmqa_lab.studies import image_resolution
 
 IDEAL = Sensor(black=0.0, white=1.0, noise=0.0)
@@ -187,3 +192,14 @@ def test_a_blur_that_changes_over_the_image_is_the_even_one_where_it_stays():
     noise = image_resolution.noisy(np.zeros((200, 200)), 0.1, rng)
     contrast = image_resolution.HIGH - image_resolution.LOW
     assert noise.std() == pytest.approx(0.1 * contrast, rel=0.02)
+
+
+def test_bars_turn_with_their_angle_and_sectors_of_a_star_are_as_sharp_as_bars():
+    spread, far = PointSpread(0.4), {"period_px": 8.0, "offset_px": 3.0}
+    turned = render_bars((80, 60), spread, angle_deg=90.0, **far)
+    assert pytest.approx(render_bars((60, 80), spread, **far), abs=1e-6) == turned.T
+    star = render_star((81, 81), spread, cycles=12, radius_px=38.0)
+    x, y = np.meshgrid(np.arange(-40, 41), np.arange(-40, 41))
+    ring = star[np.abs(np.hypot(x, y) - 30) < 1]
+    assert [ring.min(), ring.max()] == pytest.approx([0.1, 0.6], abs=1e-3)
+    assert ring.mean() == pytest.approx(0.35, abs=0.02)

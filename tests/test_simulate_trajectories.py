@@ -98,3 +98,11 @@ def test_navigation_errors_have_their_size_and_drift_slowly():
     jump = np.diff(shift[:, 0])
     assert jump.std() == pytest.approx(0.1 * np.sqrt(2 * 0.01 / 5), rel=0.05)
     assert path.position.tolist() == [[0, 0, 0], [0, 12_000, 0]]
+
+
+def test_a_varying_speed_has_its_share_and_its_time_of_correlation():
+    path = simulate.with_speed_variation(simulate.straight(20_000, 10), share=0.1, seed=1)
+    speed = np.hypot(*np.diff(path.position[:, :2], axis=0).T) / np.diff(path.time)
+    off = speed / speed.mean() - 1
+    assert off.std() == pytest.approx(0.1, rel=0.05)
+    assert np.corrcoef(off[:-50], off[50:])[0, 1] == pytest.approx(np.exp(-1), abs=0.05)
