@@ -13,6 +13,7 @@ import tifffile
 
 from mmqa_lab import io, samples
 from mmqa_lab.__main__ import main
+from mmqa_lab.io.forms import SPHERICAL
 from mmqa_lab.planes import fit_plane
 
 TURN = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # by 90 degrees about the vertical
@@ -69,6 +70,45 @@ def test_the_scans_of_an_e57_stand_at_their_poses(tmp_path, wall, capsys, monkey
     (tmp_path / "cut.e57").write_bytes(whole[: len(whole) // 2])
     with pytest.raises(ValueError, match=r"damaged.*Must be a complete E57 file"):
         io.read_cloud(tmp_path / "cut.e57")
+
+
+def test_a_scan_of_ranges_and_angles_stands_at_its_pose_without_invalid_points(tmp_path, wall):
+    """Range, azimuth and elevation, as libE57 writes them, are the points that they came from."""
+    own, lib = wall + [1, 2, 0.5], pye57.libe57
+    reach = np.linalg.norm(own, axis=1)
+    angles = np.arctan2(own[:, 1], own[:, 0]), np.arcsin(own[:, 2] / reach)
+    invalid = np.arange(300) % 50 == 0
+    columns = dict(zip(SPHERICAL, (reach, *angles, invalid.astype(float)), strict=True))
+    file = pye57.E57(str(tmp_path / "s.e57"), mode="w")
+    image = file.image_file
+
+    def node(value):
+        """A number, or a structure of some."""
+        if not isinstance(value, dict):
+            return lib.FloatNode(image, float(value)) if np.isscalar(value) else value
+        one = lib.StructureNode(image)
+        for name, inner in value.items():
+            one.set(name, node(inner))
+        return one
+
+    kinds = {name: lib.FloatNode(image, 0.0, lib.E57_DOUBLE, -9.0, 9.0) for name in columns}
+    kinds[SPHERICAL[3]] = lib.IntegerNode(image, 0, 0, 2)
+    points = lib.CompressedVectorNode(image, node(kinds), lib.VectorNode(image, True))
+    turn = dict(zip("wxyz", [np.sqrt(0.5), 0, 0, np.sqrt(0.5)], strict=True))
+    pose = {"rotation": turn, "translation": dict(zip("xyz", PLACE, strict=True))}
+    label = lib.StringNode(image, "{1}")
+    file.data3d.append(node({"guid": label, "pose": pose, "points": points}))
+    buffers = lib.VectorSourceDestBuffer()
+    for name, values in columns.items():
+        buffers.append(lib.SourceDestBuffer(image, name, values, 300, True, True))
+    writer = points.writer(buffers)
+    writer.write(300)
+    writer.close()
+    file.close()
+    with pytest.warns(UserWarning, match="Dropped 6 of 300 points .* marked as invalid"):
+        cloud = io.read_cloud(tmp_path / "s.e57")
+    expected = own @ TURN.T + PLACE
+    np.testing.assert_allclose(cloud.points, expected[~invalid], atol=1e-9)
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "binary", "binary_compressed"])
