@@ -48,7 +48,7 @@ def measure(
     Parameters
     ----------
     values : array_like, shape (bands, rows, columns)
-        In the type of the file: 8 bits are decoded from sRGB unless they are linear.
+        In the type of the file; of floats from 0 to 1, unless they are linear.
     what : {"edge", "star", "sharpness", "calibrate", "reflect"}
         ``edge``, ``star``: resolution on targets; ``sharpness``: of the whole image;
         ``calibrate``: gain and offset from targets of known radiance; ``reflect``: reflectance of
@@ -71,8 +71,9 @@ def measure(
     Raises
     ------
     ValueError
-        If a column is missing or not known, a region leaves the image or is no number, or 8-bit
-        values that are not linear are to give radiances or reflectances.
+        If a column is missing or not known, a region leaves the image or is no number, 8-bit
+        values that are not linear are to give radiances or reflectances, or values to decode
+        have no full scale.
     """
     values = np.asarray(values)
     needed, read = OF_TARGETS[check_choice(what, "measure", OF_TARGETS)]
@@ -82,10 +83,14 @@ def measure(
     physical = what in ("calibrate", "reflect")
     if values.dtype.itemsize == 1 and physical and not linear:
         raise ValueError("Invalid image of 8 bits, usually not linear. Must have 16, or be linear.")
-    rows = []
+    rows, whole = [], values.dtype.kind == "u"
+    if not (physical or linear or whole):
+        shares = values.dtype.kind == "f" and np.nanmin(values) >= 0 and np.nanmax(values) <= 1
+        found, must = f"{values.dtype} without a full scale", "uint8, uint16, from 0 to 1 or linear"
+        refuse(not shares, "image", found, must)
     for number, band in enumerate(values, start=1):
-        if values.dtype.kind == "u" and not physical:
-            full = np.float32(np.iinfo(values.dtype).max)
+        if not physical and (whole or not linear):
+            full = np.float32(np.iinfo(values.dtype).max if whole else 1)
             band = decode(band / full, "linear" if linear else "srgb")
         rows += [{"band": str(number)} | row for row in read(band, targets, number)]
     return pd.DataFrame(rows)

@@ -69,13 +69,17 @@ def test_a_target_that_fails_does_not_cost_the_others_their_rows(rng):
 
 
 @pytest.mark.parametrize("bits", [8, 16])
-def test_resolution_is_measured_alike_in_8_and_16_bits(bits, rng):
+def test_resolution_is_measured_alike_in_8_and_16_bits_and_in_shares(bits, rng):
     edge = render_edge((100, 64), PointSpread(0.8), angle_deg=5.0)
     edge = edge + 0.002 * rng.standard_normal(edge.shape)
     codes = np.round(encode(edge, "srgb") * (2**bits - 1)).astype(f"uint{bits}")
     table = pd.DataFrame({"x_px": [0], "y_px": 0, "width_px": 64, "height_px": 100})
-    found = image_targets.measure(codes[None], "edge", targets=table)["mtf50_per_px"].item()
-    assert found == pytest.approx(PointSpread(0.8).mtf50(5), rel=0.02)
+    for values in (codes, codes / (2**bits - 1)):
+        found = image_targets.measure(values[None], "edge", targets=table)["mtf50_per_px"].item()
+        assert found == pytest.approx(PointSpread(0.8).mtf50(5), rel=0.02)
+    for kind in ("int32", "float32"):
+        with pytest.raises(ValueError, match=f"{kind} without a full scale. Must be uint8, uint16"):
+            image_targets.measure(codes[None].astype(kind), "edge", targets=table)
 
 
 @pytest.mark.parametrize(("column", "value"), [("x_px", np.nan), ("width_px", np.inf)])

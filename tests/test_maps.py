@@ -301,6 +301,9 @@ def test_remarks_tell_of_pairs_steps_units_and_coincident_points():
     same = maps.map_cloud(np.vstack([points, points[:30]]))
     assert "60 points (1.98 %) share their place" in same.attrs["remarks"]
     assert int(same["coincident"].sum()) == 60
+    again = np.vstack([np.round(points, 3), np.round(points[points[:, 0] < 448003], 4)])
+    tiles = maps.map_cloud(Cloud(again, resolution=0.001)).attrs["remarks"]
+    assert "nearer than the steps, as of tiles that overlap; the density counts both." in tiles
     coarse = maps.map_cloud(Cloud(points, resolution=0.05)).attrs["remarks"]
     assert "Coordinates are in steps of 50 mm: too coarse for sigma_MAD" in coarse
     degrees = (points - [448000, 5411000, 0]) / [1e5, 1e5, 1] + [11.5, 48.1, 0]

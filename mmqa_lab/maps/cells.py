@@ -254,12 +254,13 @@ def _remarks(medians, step_mm, below, same, count):
     d1, d2, sigma = medians[["d1", "d2", "sigma_mad"]]
     coarse = [f"sigma_MAD {sigma:.3g} mm"] * int(step_mm > sigma)
     coarse += [f"d1 {d1:.3g} mm"] * int(is_coarse(d1, step_mm))
+    near = f"f is not measured in {below} cells: points lie nearer than the steps"
     steps = f"Coordinates are in steps of {step_mm:.3g} mm: too coarse for {' and '.join(coarse)}."
     pairs = f"d2 is {d2 / d1:.0f} times d1: points come in pairs, as from two returns of a pulse"
     share = f"{same:.0f} points ({100 * same / count:.3g} %) share their place with another"
     remarks = (
         (step_mm > COARSE_MM and coarse, steps),
-        (below, f"f is not measured in {below} cells: points lie nearer than the steps."),
+        (below, f"{near}, as of tiles that overlap; the density counts both."),
         (d2 > PAIRS * d1, f"{pairs} or from a repeated scan; density and f count both."),
         (same, f"{share}: they raise the density."),
     )
