@@ -105,7 +105,7 @@ def _download(one, part):
 
 def _cached(one):
     """Where a public cloud is kept."""
-    cache = Path(os.environ.get(CACHE_VARIABLE, Path.home() / ".cache" / "mmqa_lab"))
+    cache = Path(os.environ.get(CACHE_VARIABLE) or "~/.cache/mmqa_lab").expanduser()
     return cache / f"{one.name}{Path(one.url).suffix}"
 
 

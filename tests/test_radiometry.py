@@ -237,7 +237,10 @@ def test_targets_of_an_image_are_measured_band_by_band(rng):
     assert gains["gain"].to_numpy() == pytest.approx([10, 20], rel=0.01)
     edge = render_edge((60, 80), PointSpread(0.8), angle_deg=5.0)
     seen = image_targets.measure(
-        edge[None], "edge", targets=targets.assign(x_px=10, width_px=60, height_px=60)[:1]
+        edge[None],
+        "edge",
+        targets=targets.assign(x_px=10, width_px=60, height_px=60)[:1],
+        linear=True,
     )
     assert seen["mtf50_per_px"].item() == pytest.approx(PointSpread(0.8).mtf50(5), rel=0.01)
 

@@ -111,6 +111,22 @@ def test_a_public_cloud_is_downloaded_once_and_again_if_it_is_damaged(host, wall
     assert len(host.asked) == 2
 
 
+@pytest.mark.parametrize(("folder", "expected"), [("", ".cache/mmqa_lab"), ("~/clouds", "clouds")])
+def test_an_empty_folder_or_a_sign_for_home_is_not_the_current_folder(
+    folder, expected, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("MMQA_CACHE", folder)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("USERPROFILE", str(tmp_path))
+    (tmp_path / expected).mkdir(parents=True)
+    one = SimpleNamespace(
+        name="x", url="https://a/b.ply", hash=f"sha256:{hashlib.sha256(b'ply').hexdigest()}"
+    )
+    (tmp_path / expected / "x.ply").write_bytes(b"ply")
+    monkeypatch.setitem(samples.PUBLIC, "x", one)
+    assert samples.fetch("x") == tmp_path / expected / "x.ply"
+
+
 def test_a_fetched_cloud_is_real_data_without_a_network(host, wall):
     assert not samples.has_real("wall")
     with pytest.raises(FileNotFoundError, match=r"real cloud wall\. Must be fetched before"):

@@ -79,6 +79,7 @@ def test_the_share_follows_the_distance_and_the_rank(rng):
     brute = cKDTree(xy).query(third.places, 3)[0][:, 2]
     np.testing.assert_allclose(third.distances, brute)
     assert np.isnan(first.share(0.51))  # no disc of this size lies within the board
+    assert np.isnan(first.share(np.nan))
 
 
 def test_a_hole_is_empty_and_two_heads_may_leave_more_than_g_tells(rng):

@@ -78,7 +78,7 @@ class EmptySpace(Shown):
         it. NaN for a distance that no place is away from the outline.
         """
         reach, share = self._within
-        if distance > self.border.max(initial=0):
+        if not distance <= self.border.max(initial=0):
             return np.nan
         return float(np.append(0, share)[np.searchsorted(reach, distance, "right")])
 
