@@ -139,6 +139,7 @@ BOW = np.array([[0.0, 0.0], [1, 1], [1, 0], [0, 1]])
 POLE = pd.DataFrame({"x_m": [0.0], "y_m": [0.0], "z_m": [0.0]})
 HEAD = {"pulse_rate_hz": 3e5, "mirror_frequency_hz": 100, "speed_m_s": 10}
 SETUP, WALL = scan_pattern.ScanSetup(**HEAD), scan_pattern.Target(range_m=5)
+TWO_SPOTS = scan_pattern.Patch([[5.0, 0, 0], [6, 0, 0]], [[-1.0, 0, 0]] * 2)
 LINES = np.stack(np.meshgrid([0.0], np.arange(9) / 9, np.arange(9) / 9), axis=-1).reshape(-1, 3)
 EDGE = np.array([[[0, 0, 0], [1, 0, 0.0]]])
 SCANNER = simulate.Scanner(pulse_rate_hz=3e5, mirror_frequency_hz=100)
@@ -185,6 +186,7 @@ FUNCTIONS = [
     (lambda: scan_pattern.measure_pattern(LINES, gps_time=[0] * 3), "gps_time of shape (3,)."),
     (lambda: scan_pattern.measure_pattern(LINES, gps_time=[0] * 81), "time without pauses"),
     (lambda: scan_pattern.measure_pattern(LINES, gps_time=np.arange(81) * 1e5), "a week's end"),
+    (lambda: scan_pattern.speeds(SETUP, TWO_SPOTS, detail=0.05), "2 spots. Must be a single spot"),
     (lambda: scan_pattern.measure_pattern(LINES, scan_line=[0] * 81), "Invalid patch: 1 profiles"),
     (lambda: mimic.profile_spacing_horizontal(0.1, 45, -60), "Invalid alpha_targ -60"),
     (lambda: check_count(2.5, "repeats"), "Invalid repeats 2.5. Must be a whole number >= 1."),

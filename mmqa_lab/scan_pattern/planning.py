@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import brentq
 
-from mmqa_lab._checks import check_choice, check_count, check_number, check_positive
+from mmqa_lab._checks import check_choice, check_count, check_number, check_positive, refuse
 from mmqa_lab._streams import stream
 from mmqa_lab.scan_pattern.lattice import LATTICE_QUANTITIES, SMOOTH, scan_lattice
 from mmqa_lab.scan_pattern.mimic import target_normal
@@ -80,7 +80,7 @@ def largest_speed(
     """
     allowed = [*(one for one in LATTICE_QUANTITIES if one != "profile_angle_deg"), "detail_mm"]
     check_choice(quantity, "quantity", allowed)
-    limit = check_positive(limit, "limit")
+    limit, target = check_positive(limit, "limit"), _one_spot(setup, target)
 
     def margin(speed):
         """Margin of the quantity to its limit, as a share of the limit; -1 if undefined."""
@@ -93,6 +93,13 @@ def largest_speed(
     if not len(kept) or kept[-1] == len(SPEEDS) - 1:
         raise ValueError(f"Invalid limit {limit}. Must be reached between 0.01 and 100 m/s.")
     return float(brentq(margin, *SPEEDS[kept[-1] : kept[-1] + 2], xtol=1e-9))
+
+
+def _one_spot(setup, target):
+    """A target of one spot, whatever its shape; a sentence for more of them."""
+    spots = np.size(scan_lattice(setup, target).point_spacing_m)
+    refuse(spots != 1, "target", f"{spots} spots", "a single spot")
+    return Patch(*(np.reshape(one, 3) for one in target)) if isinstance(target, Patch) else target
 
 
 def speeds(
@@ -127,7 +134,7 @@ def speeds(
     """
     detail, rho0 = check_positive(detail, "detail", unit="m"), check_positive(rho0, "rho0")
     f, rows = check_positive(f, "f"), []
-    scan_lattice(setup, target)  # an impossible set-up is no limit that cannot be kept
+    target = _one_spot(setup, target)  # an impossible set-up is no limit that cannot be kept
     for asked, limit in (("detail_mm", 1000 * detail), ("density_per_m2", rho0), ("f", f)):
         rows.append({"asked": asked, "limit": limit, "speed_km_h": np.nan})
         with suppress(ValueError):
