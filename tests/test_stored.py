@@ -163,6 +163,14 @@ def test_the_readme_is_short_and_has_the_stored_answers():
     ]
     assert f"print {counts.sum()} results. Ours equal {counts['reproduced']} of" in text
     assert f"agree with {counts['consistent']} more; {counts['differs']} differ." in text
+    fitted = f"{counts['fitted']} served to fit a simulation, and {counts['not comparable']} cannot"
+    assert fitted in text
+    measured = (notebooks_folder().parent / "tests/benchmarks/RESULTS.md").read_text("utf-8")
+    row = r"^\| 0\.[45] \| (\d+)/(\d+), \d+/\d+ \| \d+/\d+, (\d+)/(\d+) \|"
+    (was, _, *before), (found, poles, *now) = re.findall(row, measured, flags=re.MULTILINE)
+    share, once = (f"{100 * int(right) / int(finds):.0f} %" for right, finds in (now, before))
+    line = f"{share} of finds are right; {once} were. In return {found} of {poles} real poles are"
+    assert f"{line} found; {was} were." in " ".join(text.split())
 
 
 def test_new_answers_come_into_the_readme(tmp_path):

@@ -192,8 +192,11 @@ def _renew_readme(readme, answers, counts=None):
     if counts is not None:
         said = f"print {counts.sum()} results. Ours equal {counts['reproduced']} of them to the "
         said += f"printed digits and agree with {counts['consistent']} more; "
-        said += f"{counts['differs']} differ"
-        text = re.sub(r"print \d+ results\. Ours equal [^;]*; \d+ differ", said, text)
+        said += f"{counts['differs']} differ.\n{counts['fitted']} served to fit a simulation, and "
+        said += f"{counts['not comparable']} cannot be compared"
+        text = re.sub(
+            r"print \d+ results\. Ours[^;]*;[^,]*, and \d+ cannot be compared", said, text
+        )
     write_atomically(readme, text)
 
 
