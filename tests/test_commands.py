@@ -351,7 +351,7 @@ m.main(["info", "x.laz"])"""
     assert not (tmp_path / "made").exists()
 
 
-def asked(study, folder, *, quick):
+def asked(study, folder, *, size):
     """A run of a study that takes no time."""
     return study.stem
 
@@ -359,7 +359,7 @@ def asked(study, folder, *, quick):
 def test_the_longest_study_begins_first_and_the_shortest_is_next(tmp_path):
     studies = chosen(["mimic", "poles", "fitness"])
     known = {"mimic": 20.0, "fitness": 5.0, "poles": 90.0}
-    ran = list(commands.laboratory._run_studies(asked, studies, tmp_path, True, 1, known))
+    ran = list(commands.laboratory._run_studies(asked, studies, tmp_path, "quick", 1, known))
     assert [record for _, record in ran] == ["poles", "fitness", "mimic"]
     assert [study.stem for study, _ in ran] == ["poles", "fitness", "mimic"]
 

@@ -92,6 +92,17 @@ def test_small_parameters_replace_delivered_ones(study):
     assert set(study.quick) <= set(parameter_names(study.path))
 
 
+@pytest.mark.parametrize("study", STUDIES, ids=lambda study: study.stem)
+def test_the_middle_size_has_a_quarter_of_the_cases_or_more(study):
+    notebook = nbformat.read(study.path, as_version=4)
+    (cell,) = (c for c in notebook.cells if "parameters" in c.metadata.get("tags", []))
+    full = {}
+    exec(cell.source, full)  # what the notebook delivers
+    for name, value in study.middle.items():
+        large, small = (one if np.isscalar(one) else len(one) for one in (full[name], value))
+        assert large / 4 <= small < large, name  # an interval is at most twice as wide
+
+
 @pytest.mark.parametrize(
     ("frame", "kind", "columns"),
     [

@@ -95,7 +95,7 @@ def test_what_is_stored_is_small_and_needs_no_kernel(tmp_path):
     write_atomically(results / "ran.ipynb", nbformat.writes(nbformat.v4.new_notebook(cells=cells)))
     (results / "key.png").write_bytes(content)
     answer = {"sentence": "Yes, by 3 mm.", "short": "Yes.", "figure": "other", "thumbnail": "key"}
-    ran = {"quick": False, "failure": "", "seconds": 2.5, "answer": answer}
+    ran = {"size": "full", "failure": "", "seconds": 2.5, "answer": answer}
     write_record(results, ran)
     for _ in range(2):  # what the first has written may be stored again
         store(tmp_path, results.parent, [study])

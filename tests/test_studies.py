@@ -76,7 +76,7 @@ of .54 and .59 apart; drift of 48 m of street alone moves heights by 27 mm."""
 @pytest.mark.parametrize("study", STUDIES, ids=lambda study: study.stem)
 def test_notebook_runs_with_small_parameters(study, tmp_path):
     study, exercises = before_the_answers(study, tmp_path)
-    record = notebooks.run_study(study, tmp_path / "results", quick=True)
+    record = notebooks.run_study(study, tmp_path / "results", size="quick")
     folder = tmp_path / "results" / study.stem
     assert record["failure"] == ""
     assert record["checks"]

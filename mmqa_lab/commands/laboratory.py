@@ -128,6 +128,7 @@ def studies(
     /,
     *,
     quick: bool = False,
+    full: bool = False,
     workers: int | None = None,
     store: bool = False,
     out: Path | None = None,
@@ -135,9 +136,11 @@ def studies(
 ):
     """Run the studies: every notebook, without a screen, with tables, figures and pages.
 
-    Results are written into notebooks/results/, those of a quick run into notebooks/results/quick/;
-    the page index.html in that folder shows them all. A study that fails does not stop the others.
-    The exit status is 1 if a study failed or, with the delivered parameters, a check did not pass.
+    A run has the middle size: it takes half the time of a full one, and its intervals are up to
+    twice as wide. Results are written into notebooks/results/middle/, those of a quick run into
+    notebooks/results/quick/, those of a full one into notebooks/results/; the page index.html in
+    that folder shows them all. A study that fails does not stop the others. The exit status is 1 if
+    a study failed or, but for a quick run, a check did not pass.
 
     Parameters
     ----------
@@ -145,10 +148,13 @@ def studies(
         Short names of studies, such as mimic. By default all studies.
     quick
         Use small parameters, for a first look.
+    full
+        Work out all that the notebooks store.
     workers
         Number of studies that run at the same time. By default as many as cores and memory permit.
     store
-        Store the outputs in the notebooks of the repository, and their thumbnails beside them.
+        Run in full, and store the outputs in the notebooks of the repository and their thumbnails
+        beside them.
     out
         Write the results into this folder instead.
     site
@@ -163,8 +169,11 @@ def studies(
         with own_folder(site):
             print(pages.write_site(site, notebooks_folder(), [*chosen(names or []), *TOOLS]))
         return 0
+    if quick and (full or store):
+        raise ValueError("Invalid request --quick. Must stand without --full and --store.")
+    size = "quick" if quick else "full" if full or store else "middle"
     usual = results_folder(notebooks_folder())
-    folder = (out or (usual / "quick" if quick else usual)).resolve()
+    folder = (out or (usual if size == "full" else usual / size)).resolve()
     wanted = [*chosen(names or []), *(TOOLS if store and not names else ())]
     failed = False
     ours = usual.parent == notebooks_folder() and out is None  # a repository's own
@@ -172,11 +181,12 @@ def studies(
         print(f"Results, as they arrive: {folder / 'index.html'}", flush=True)
         workers = min(workers or _fitting_workers(), len(wanted))
         known = {} if quick else notebooks.stored_seconds(notebooks_folder())
-        if left := sum(known.get(study.stem, 0) for study in wanted):
+        share = 1 if size == "full" else 0.5
+        if left := sum(known.get(study.stem, 0) for study in wanted) * share:
             slower = notebooks.machine_speed()
             estimate = f"About {left * slower / workers / 60:.0f} minutes: this machine takes "
             print(f"{estimate}{slower:.1f} times as long as that of the stored runs.", flush=True)
-        runs = _run_studies(notebooks.run_study, wanted, folder, quick, workers, known)
+        runs = _run_studies(notebooks.run_study, wanted, folder, size, workers, known)
         for study, record in runs:
             untrue = not quick and any(not check["passed"] for check in record["checks"])
             failed = failed or bool(record["failure"]) or untrue
@@ -205,7 +215,7 @@ def _apart():
     end_with_parent()
 
 
-def _run_studies(run_study, studies, folder, quick, workers, known):
+def _run_studies(run_study, studies, folder, size, workers, known):
     """Run each study in a process of its own; yield it with its record when it ends."""
     import signal
     from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
@@ -217,7 +227,7 @@ def _run_studies(run_study, studies, folder, quick, workers, known):
     try:
         first = sorted(studies, key=lambda study: -known.get(study.stem, 0))
         first.insert(1, first.pop())  # the longest and the shortest: there is a result soon
-        tasks = {pool.submit(run_study, study, folder, quick=quick): study for study in first}
+        tasks = {pool.submit(run_study, study, folder, size=size): study for study in first}
         shares = {task: round(known.get(study.stem, 1)) for task, study in tasks.items()}
         bar, waiting = progress(range(sum(shares.values())), "s"), set(tasks)
         while waiting:

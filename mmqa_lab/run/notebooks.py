@@ -29,6 +29,7 @@ from mmqa_lab.metrics.supports import CURVES
 from mmqa_lab.published.ledger import collect, summary
 from mmqa_lab.run.pages import ANSWERS, LEDGER, notebook_page, stored_answers
 from mmqa_lab.run.results import new_record, read_record, write_record
+from mmqa_lab.studies import SIZES
 
 __all__ = [
     "ENVIRONMENT", "TIMES", "code_hash", "execute", "inject", "machine_speed", "run_study", "store",
@@ -62,7 +63,7 @@ ADVICE, LEAST_ADVISED = "fitness/advice.csv", 0.6
 KEY_FIGURE = "fitness/six_clouds.png"
 
 
-def run_study(study, folder, *, quick=False):
+def run_study(study, folder, *, size="full"):
     """Run the notebook of a study.
 
     Parameters
@@ -70,25 +71,25 @@ def run_study(study, folder, *, quick=False):
     study : mmqa_lab.studies.Study
     folder : path
         Results go to ``<folder>/<stem>/``; the page is ``<stem>.html``.
-    quick : bool
-        Use the study's small parameters.
+    size : str
+        One of :data:`mmqa_lab.studies.SIZES`.
 
     Returns
     -------
     dict
-        The run record: ``quick``, ``seconds``, ``failure`` (in one line, empty if every cell ran),
+        The run record: ``size``, ``seconds``, ``failure`` (in one line, empty if every cell ran),
         ``answer``, ``checks``, ``files`` and more, also in ``run.json``.
     """
     target = Path(folder).resolve() / study.stem
-    write_record(target, new_record(target) | {"quick": quick})
+    write_record(target, new_record(target) | {"size": size})
     notebook = nbformat.read(study.path, as_version=4)
-    if quick:
-        inject(notebook, study.quick)
+    if size != "full":
+        inject(notebook, getattr(study, size), size)
     began = time.monotonic()
     failure = execute(notebook, study.path.parent, results=target.parent)
     seconds = round(time.monotonic() - began, 1)
     above = ["[All studies](../index.html)"]
-    above += ["**Quick run: small parameters, for a first look.**"] if quick else []
+    above += [f"**{SIZES[size]}.**"] if size != "full" else []
     above += [f"**Stopped: `{failure}`. The cells below it were not run.**"] if failure else []
     record = read_record(target) | {"seconds": seconds, "failure": failure}
     write_atomically(target / f"{study.stem}.ipynb", nbformat.writes(notebook))
@@ -99,12 +100,12 @@ def run_study(study, folder, *, quick=False):
     return record
 
 
-def inject(notebook, parameters):
-    """Put a cell with other parameters behind the notebook's cell tagged ``parameters``."""
+def inject(notebook, parameters, size="quick"):
+    """Put a cell with the parameters of a size behind the cell tagged ``parameters``."""
     tags = [cell.metadata.get("tags", []) for cell in notebook.cells]
     place = next(number for number, found in enumerate(tags) if "parameters" in found)
     lines = [f"{name} = {value!r}" for name, value in parameters.items()]
-    cell = nbformat.v4.new_code_cell("\n".join(["# small parameters, for a first look", *lines]))
+    cell = nbformat.v4.new_code_cell("\n".join([f"# {SIZES[size]}", *lines]))
     notebook.cells.insert(place + 1, cell)
 
 
@@ -147,7 +148,7 @@ def store(notebooks, folder, studies):
     answers, seconds = stored_answers(notebooks), stored_seconds(notebooks)
     for study in studies:
         record = read_record(folder / study.stem)
-        if record.get("quick", True) or record["failure"]:
+        if record.get("size") != "full" or record["failure"]:
             raise ValueError(f"Invalid results of {study.stem}. Must be of a full run to its end.")
         ran = nbformat.read(folder / study.stem / f"{study.stem}.ipynb", as_version=4)
         plain = nbformat.read(study.path, as_version=4)

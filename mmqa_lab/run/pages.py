@@ -24,7 +24,7 @@ from mmqa_lab._results import digits, printed
 from mmqa_lab.io import write_atomically
 from mmqa_lab.published import ledger
 from mmqa_lab.run.results import read_record, verdict
-from mmqa_lab.studies import notebooks_folder
+from mmqa_lab.studies import SIZES, notebooks_folder
 
 __all__ = [
     "ANSWERS", "LEDGER", "LEDGER_COLUMNS", "TEMPLATES", "filled", "notebook_page", "public_names",
@@ -69,14 +69,15 @@ def write_pages(folder, studies):
     folder, stored = Path(folder), stored_answers(notebooks_folder())
     records = [(study, read_record(folder / study.stem)) for study in studies]
     ran = [(study, record) for study, record in records if "failure" in record]
-    quick = any(record["quick"] for _, record in ran)
+    quick = any(record.get("size") == "quick" for _, record in ran)
     missing = [study for study in studies if not (folder / study.stem / "ledger.csv").is_file()]
     counts, not_run = "", [table for study in missing for table in study.tables]
     if len(missing) < len(studies):
         rows = ledger.collect(folder, not_run=not_run)
         counts = write_ledger(folder / "ledger.html", rows, quick)
     write_words(folder)
-    shown = {"ran": ran, "stored": stored, "quick": quick, "counts": counts, "verdict": verdict}
+    shown = {"ran": ran, "stored": stored, "quick": quick, "counts": counts}
+    shown |= {"verdict": verdict, "sizes": SIZES}
     write_atomically(folder / "index.html", filled("index.html", **shown))
 
 

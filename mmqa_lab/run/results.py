@@ -390,7 +390,7 @@ def new_record(folder):
         if (left.name in ours or LEFT_OVER.fullmatch(left.name)) and not left.is_dir():
             left.unlink()
     answer = dict.fromkeys(("sentence", "short", "figure", "thumbnail", "kind"), "")
-    record = {"quick": before.get("quick", False), "failure": UNFINISHED, "seconds": 0.0}
+    record = {"size": before.get("size", "full"), "failure": UNFINISHED, "seconds": 0.0}
     return record | {"answer": answer | {"values": []}, "checks": [], "files": [], "figures": {}}
 
 

@@ -8,7 +8,14 @@ from pathlib import Path
 from mmqa_lab._checks import check_choice
 from mmqa_lab._data import read_toml, shipped_folder
 
-__all__ = ["STUDIES", "TOOLS", "Study", "chosen", "notebooks_folder", "results_folder"]
+__all__ = ["SIZES", "STUDIES", "TOOLS", "Study", "chosen", "notebooks_folder", "results_folder"]
+
+SIZES = {
+    "quick": "Quick run: small parameters, for a first look",
+    "middle": "Middle size: half the time, intervals up to twice as wide",
+    "full": "Full run, as the notebooks store it",
+}
+"""How much of a study a run works out."""
 
 
 @dataclass(frozen=True)
@@ -24,6 +31,8 @@ class Study:
     """Source and name of the printed tables that its ledger answers."""
     quick: dict = field(default_factory=dict)
     """Small parameters of its notebook, for tests and for students' copies."""
+    middle: dict = field(default_factory=dict)
+    """Parameters of its notebook that take half the time."""
 
     @property
     def notebook(self):
@@ -43,9 +52,12 @@ class Study:
 
 
 _LISTED = read_toml(Path(__file__).with_name("catalogue.toml"))
-_SMALL = read_toml(Path(__file__).with_name("quick.toml"))
+_OF_SIZE = {size: read_toml(Path(__file__).with_name(f"{size}.toml")) for size in ("quick", "middle")}
 
-STUDIES = tuple(Study(**row, quick=_SMALL.get(row["stem"], {})) for row in _LISTED["studies"])
+STUDIES = tuple(
+    Study(**row, **{size: given.get(row["stem"], {}) for size, given in _OF_SIZE.items()})
+    for row in _LISTED["studies"]
+)
 
 TOOLS = tuple(Study(**row) for row in _LISTED["tools"])
 """Notebooks that are tools: they have no answer, no checks and no module."""
