@@ -47,7 +47,7 @@ COMMANDS = [
     ("poles words.csv --csv words.csv", "words.csv: it is an input. Must be another file."),
     ("accuracy PATCH heights.csv --out heights.csv", "heights.csv: it is an input."),
     ("evaluate cut.laz", "Must be a complete LAS or LAZ file."),
-    ("evaluate lying.las", "bytes for 5 points where the header says 1000000000000"),
+    ("evaluate lying.las", "1000000000000 points in so few bytes"),
     ("evaluate empty.las", "no points. Must contain one or more."),
     ("evaluate broken.ply", "Must be a PLY file with vertices x, y, z."),
     ("evaluate nan.xyz", "no points. Must contain one or more."),

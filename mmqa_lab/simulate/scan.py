@@ -386,8 +386,9 @@ def _footprint(scanner, origin, direction, turn):
 @njit(cache=True, nogil=True)
 def _spread(origin, direction, sides, turn, radius, growth, starts, aims):
     """Fill in starts and aims (n, 7, 3) of the axis and a ring of rays, from its two ``sides``."""
-    starts[:, 0], aims[:, 0] = origin, direction
     for n in range(len(origin)):
+        for j in range(3):  # an assignment of arrays takes 8 s to compile
+            starts[n, 0, j], aims[n, 0, j] = origin[n, j], direction[n, j]
         for ray in range(6):
             angle = turn[n] + np.pi / 3 * ray
             c, s = np.cos(angle), np.sin(angle)
