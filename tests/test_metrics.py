@@ -1,5 +1,7 @@
 """Metrics of the field, each against a closed form or a brute force, on five clouds."""
 
+import copy
+
 import numpy as np
 import pytest
 import shapely
@@ -268,3 +270,15 @@ def test_intervals_are_those_of_the_chart_and_own_metrics_stand_beside():
     assert np.isnan(rows.loc["void_5cm", "low"])
     with pytest.raises(ValueError, match="'anps' is the nearest"):
         table(chart, ["anpd"])
+
+
+def test_copies_of_a_chart_share_what_is_worked_out_and_none_of_it_can_be_written():
+    chart = evaluate_cloud(np.random.default_rng(2).random((300, 3)) * [1, 1, 0.01])
+    first = METRICS["e95"](chart)
+    other = copy.deepcopy(chart)
+    assert other.pattern is chart.pattern
+    for part in ("xy", "residuals", "nearest", "discs", "cells"):
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(other.pattern, part)[0] = 0
+    other.xy[:] = 0  # a metric may change its copy
+    assert METRICS["e95"](chart) == first == METRICS["e95"](other)

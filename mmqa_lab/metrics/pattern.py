@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any
+from functools import cached_property, wraps
+from typing import Any, TypeVar
 
 import numpy as np
 import shapely
@@ -25,8 +26,25 @@ SLACK = 1e-3
 """Share of its side by which a cell may leave the outline, which noise of the plane tilts."""
 
 
+Found = TypeVar("Found")
+
+
 class Unmeasured(ValueError):
     """A pattern has no such figure; the message is the reason."""
+
+
+def _shared(function: Callable[[Any], Found]) -> cached_property[Found]:
+    """A property that is worked out once; its arrays cannot be written."""
+
+    @wraps(function)
+    def once(self):
+        found = function(self)
+        for part in found if isinstance(found, tuple) else (found,):
+            if isinstance(part, np.ndarray):
+                part.flags.writeable = False
+        return found
+
+    return cached_property(once)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +73,17 @@ class Pattern:
     outline: Any
     residuals: np.ndarray = field(repr=False)
 
+    def __post_init__(self) -> None:
+        """Look at the arrays without being able to write them."""
+        for name in ("xy", "residuals"):
+            view = getattr(self, name).view()
+            view.flags.writeable = False
+            object.__setattr__(self, name, view)
+
+    def __deepcopy__(self, _: dict) -> Pattern:
+        """Return itself: nothing in it can be written, so that copies of a chart share its work."""
+        return self
+
     @property
     def density(self) -> float:
         """Points per square metre of the outline."""
@@ -62,12 +91,12 @@ class Pattern:
             raise Unmeasured("the outline has no area")
         return len(self.xy) / self.outline.area
 
-    @cached_property
+    @_shared
     def tree(self) -> Any:
         """A tree of the points."""
         return tree_of(self.xy)
 
-    @cached_property
+    @_shared
     def _places(self):
         """Places of the surface, their distances from the outline and from the nearest points."""
         places = places_within(self.outline)
@@ -81,14 +110,14 @@ class Pattern:
         places, border, away = self._places
         return EmptySpace(places, away[:, rank - 1], border)
 
-    @cached_property
+    @_shared
     def nearest(self) -> np.ndarray:
         """Distance from each point to the next one, m, (n,)."""
         if len(self.xy) < 2:
             raise Unmeasured("there is a single point")
         return self.tree.query(self.xy, [2])[0][:, 0]
 
-    @cached_property
+    @_shared
     def discs(self) -> np.ndarray:
         """Number of points within 5 cm of the places whose disc lies within the outline."""
         places, border, _ = self._places
@@ -97,7 +126,7 @@ class Pattern:
             raise Unmeasured(f"no disc of {200 * DISC_M:g} cm lies within the outline")
         return self.tree.query_ball_point(inside, DISC_M, return_length=True)
 
-    @cached_property
+    @_shared
     def framed(self) -> tuple[np.ndarray, Any]:
         """Points and outline along the sides of the narrowest rectangle around the outline, m.
 
@@ -134,7 +163,7 @@ class Pattern:
             raise Unmeasured(f"no cell of {100 * side:.3g} cm lies within the outline")
         return counts
 
-    @cached_property
+    @_shared
     def triangles(self) -> Any:
         """The Delaunay triangulation of the distinct points."""
         from scipy.spatial import Delaunay, QhullError
@@ -144,7 +173,7 @@ class Pattern:
         except QhullError:
             raise Unmeasured("points lie on a line, or are fewer than four") from None
 
-    @cached_property
+    @_shared
     def cells(self) -> np.ndarray:
         """Areas of the Voronoi cells that lie within the outline, m2."""
         from scipy.spatial import Voronoi
@@ -162,7 +191,7 @@ class Pattern:
             raise Unmeasured("no Voronoi cell lies within the outline")
         return areas
 
-    @cached_property
+    @_shared
     def local(self) -> tuple[np.ndarray, np.ndarray]:
         """Eigenvalues of the covariances of neighbourhoods, m2, (m, 3), ascending, and roughness.
 

@@ -52,7 +52,7 @@ class Study:
 
 
 _LISTED = read_toml(Path(__file__).with_name("catalogue.toml"))
-_OF_SIZE = {size: read_toml(Path(__file__).with_name(f"{size}.toml")) for size in ("quick", "middle")}
+_OF_SIZE = {size: read_toml(Path(__file__).with_name(f"{size}.toml")) for size in [*SIZES][:2]}
 
 STUDIES = tuple(
     Study(**row, **{size: given.get(row["stem"], {}) for size, given in _OF_SIZE.items()})
