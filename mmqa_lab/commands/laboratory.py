@@ -136,8 +136,7 @@ def studies(
 ):
     """Run the studies: every notebook, without a screen, with tables, figures and pages.
 
-    A run has the middle size: it takes half the time of a full one, and its intervals are up to
-    twice as wide. Results are written into notebooks/results/middle/, those of a quick run into
+    A run has the middle size: fewer cases than a full one, and intervals up to twice as wide. Results are written into notebooks/results/middle/, those of a quick run into
     notebooks/results/quick/, those of a full one into notebooks/results/; the page index.html in
     that folder shows them all. A study that fails does not stop the others. The exit status is 1 if
     a study failed or, but for a quick run, a check did not pass.
@@ -181,7 +180,7 @@ def studies(
         print(f"Results, as they arrive: {folder / 'index.html'}", flush=True)
         workers = min(workers or _fitting_workers(), len(wanted))
         known = {} if quick else notebooks.stored_seconds(notebooks_folder())
-        share = 1 if size == "full" else 0.5
+        share = 1 if size == "full" else 0.6
         if left := sum(known.get(study.stem, 0) for study in wanted) * share:
             slower = notebooks.machine_speed()
             estimate = f"About {left * slower / workers / 60:.0f} minutes: this machine takes "

@@ -12,7 +12,7 @@ __all__ = ["SIZES", "STUDIES", "TOOLS", "Study", "chosen", "notebooks_folder", "
 
 SIZES = {
     "quick": "Quick run: small parameters, for a first look",
-    "middle": "Middle size: half the time, intervals up to twice as wide",
+    "middle": "Middle size: fewer cases, intervals up to twice as wide",
     "full": "Full run, as the notebooks store it",
 }
 """How much of a study a run works out."""
@@ -32,7 +32,7 @@ class Study:
     quick: dict = field(default_factory=dict)
     """Small parameters of its notebook, for tests and for students' copies."""
     middle: dict = field(default_factory=dict)
-    """Parameters of its notebook that take half the time."""
+    """Parameters of its notebook with fewer cases."""
 
     @property
     def notebook(self):
