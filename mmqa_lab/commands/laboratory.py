@@ -136,7 +136,8 @@ def studies(
 ):
     """Run the studies: every notebook, without a screen, with tables, figures and pages.
 
-    A run has the middle size: fewer cases than a full one, and intervals up to twice as wide. Results are written into notebooks/results/middle/, those of a quick run into
+    A run has the middle size: fewer cases than a full one, and intervals up to twice as wide.
+    Results are written into notebooks/results/middle/, those of a quick run into
     notebooks/results/quick/, those of a full one into notebooks/results/; the page index.html in
     that folder shows them all. A study that fails does not stop the others. The exit status is 1 if
     a study failed or, but for a quick run, a check did not pass.
