@@ -96,13 +96,13 @@ def show_cloud(
     >>> from unittest.mock import patch
     >>> with patch(f"{__name__}.can_render", return_value=False):
     ...     show_cloud([[0, 0, 0], [1, 0, 0.1]], [0.0, 1.0], label="height (m)").data
-    'No 3-D view: it needs the OpenGL libraries that the guide names.'
+    'No 3-D view: it needs the OpenGL libraries that the README names.'
     """
     points = check_points(cloud)
     values = np.asarray(values, dtype=np.float64)
     if not can_render():
         return needs("lab", "IPython.display").Markdown(
-            "No 3-D view: it needs the OpenGL libraries that the guide names."
+            "No 3-D view: it needs the OpenGL libraries that the README names."
         )
 
     choices: dict = {"jupyter_backend": "static"}

@@ -8,7 +8,7 @@ from mmqa_lab import views
 from mmqa_lab.widgets import choice, explore, slider
 
 
-@pytest.mark.skipif(not views.can_render(), reason="needs the OpenGL libraries of the guide")
+@pytest.mark.skipif(not views.can_render(), reason="needs the OpenGL libraries of the README")
 def test_the_view_shows_the_cloud(rng, tmp_path):
     local = rng.uniform(0, 1, (500, 3)) * [4, 0.1, 3]
     views._plotter(local, local[:, 2], "height (m)").screenshot(tmp_path / "c.png")
@@ -16,7 +16,7 @@ def test_the_view_shows_the_cloud(rng, tmp_path):
     assert len(np.unique(picture, axis=0)) > 50  # colours
 
 
-@pytest.mark.skipif(not views.can_render(), reason="needs the OpenGL libraries of the guide")
+@pytest.mark.skipif(not views.can_render(), reason="needs the OpenGL libraries of the README")
 @pytest.mark.parametrize("shell", [None, object()])
 def test_a_view_is_the_notebooks_wherever_it_is_asked_for(shell, monkeypatch):
     """IPython tells only the code of a cell where it runs, not the function of a button."""
