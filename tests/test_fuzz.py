@@ -8,10 +8,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import openpyxl
+import pandas as pd
 import pytest
 import rasterio
 
 from mmqa_lab import io, samples
+from mmqa_lab.__main__ import main
 from mmqa_lab.io import outlines
 
 SPEC = importlib.util.spec_from_file_location(
@@ -177,3 +179,17 @@ def test_hostile_files_are_refused_at_once(name, tmp_path):
 def test_a_text_longer_than_a_name_is_no_path():
     with pytest.raises(ValueError, match=r"^Invalid "):
         io.read_polygon("1,2,3;" * 100 + "nowhere")
+
+
+def test_corners_longer_than_a_name_are_evaluated_into_a_report_and_a_table(tmp_path, capsys):
+    points = np.random.default_rng(1).random((400, 3)) * [1, 1, 0.001]
+    io.write_cloud(tmp_path / "c.laz", points)
+    corners = ";".join(f"{0.1 + 0.8 * x:.6f},{y:.6f},0" for y in (0.1, 0.9) for x in
+                       np.linspace(y > 0.5, y < 0.5, 20))  # fmt: skip
+    assert len(corners) > 255
+    order = ["evaluate", str(tmp_path / "c.laz"), f"--polygon={corners}"]
+    order += ["--csv", str(tmp_path / "t.csv"), "--report", str(tmp_path / "r.html")]
+    for _ in range(2):  # the second time the table exists
+        assert main(order) == 0, capsys.readouterr().err
+    (row,) = pd.read_csv(tmp_path / "t.csv").to_dict("records")
+    assert 200 < row["n"] < 300  # of 400 on a square metre, 0.64 m2

@@ -87,6 +87,16 @@ def test_texts_that_are_cut_or_named_at_length_get_one_sentence(tmp_path):
         io.read_cloud(tmp_path / "long.csv")
 
 
+def test_long_remarks_in_a_raster_change_no_height(tmp_path):
+    choices = {"width": 4, "height": 3, "count": 1, "dtype": "float32", "driver": "GTiff"}
+    place = rasterio.Affine(1, 0, 0, 0, -1, 3)
+    with rasterio.open(tmp_path / "h.tif", "w", transform=place, crs=25832, **choices) as file:
+        file.write(np.arange(12, dtype=np.float32).reshape(1, 3, 4))
+        file.update_tags(**{f"remark_{k}": "<Item (" * 50 for k in range(1000)})
+    assert (tmp_path / "h.tif").stat().st_size > 350_000
+    assert sorted(io.read_heights(tmp_path / "h.tif")[:, 2]) == [*range(12)]
+
+
 @pytest.mark.parametrize("inside", [True, False])
 def test_the_picture_behind_a_thumbnail_is_read(tmp_path, inside):
     with tifffile.TiffWriter(tmp_path / "t.dng") as file:
