@@ -99,6 +99,11 @@ def test_each_module_says_what_it_offers(path):
     assert set(module.__all__) <= set(vars(module))
 
 
+def test_no_file_is_longer_than_one_reads_at_a_time():
+    lines = {str(p): p.read_text("utf-8").count("\n") for p in sorted(PACKAGE.rglob("*.py"))}
+    assert {path: n for path, n in lines.items() if n > 450} == {}
+
+
 def test_each_room_has_a_test_file_by_its_name():
     missing = set()
     for path in PACKAGE.iterdir():

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from mmqa_lab._checks import check_kind, full_path
+from mmqa_lab._checks import check_kind, full_path, refuse
 from mmqa_lab.io.signatures import WEB_PAGE
 
 __all__ = ["alone", "own_folder", "plain_text", "reading", "write_atomically"]
@@ -31,6 +31,11 @@ FULL_BYTES = 2**20
 # The file by which a folder is known as one that the package writes.
 MARK = ".mmqa_lab"
 MARK_FLAGS = os.O_CREAT | os.O_APPEND | os.O_RDWR | getattr(os, "O_NOFOLLOW", 0)
+
+
+def check_bytes(path, what, found, n, must, *, few=0, most=MOST_PER_BYTE):
+    """Refuse n things that were found to stand in fewer bytes than they need, but for a few."""
+    refuse(n > max(few, most * path.stat().st_size), what, f"{found} in so few bytes", must)
 
 
 def write_atomically(path: str | os.PathLike, write: Callable | str | pd.DataFrame) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import listed, needs, refuse, type_step
-from mmqa_lab.io.files import HEAD, MOST_PER_BYTE, plain_text, reading
+from mmqa_lab.io.files import HEAD, check_bytes, plain_text, reading
 from mmqa_lab.io.marks import Piece
 from mmqa_lab.io.signatures import PTX_HEAD
 from mmqa_lab.io.tables import NO_NUMBERS
@@ -37,9 +37,9 @@ def e57_pieces(path, scan=None):
         file = pye57.E57(str(path))
         headers = [file.get_header(number) for number in range(file.scan_count)]
         total = sum(header.point_count for header in headers)
-    what, most = f"cloud {path}", MOST_PER_BYTE * path.stat().st_size
+    what = f"cloud {path}"
     refuse(not headers, what, "no scans", E57)
-    refuse(total > most, what, f"{total} points in so few bytes", E57)
+    check_bytes(path, what, f"{total} points", total, E57)
     for number, header in enumerate(headers):
         if scan is not None and str(scan) not in (str(number), _scan_name(header)):
             continue
@@ -125,8 +125,8 @@ def read_pcd(path):
     with reading(path, "cloud", PCD):
         about = pypcd4.MetaData.parse_header(head[: end.end()].decode().splitlines())
         row = sum(size * count for size, count in zip(about.size, about.count, strict=True))
-    most = MOST_OF_A_BYTE * path.stat().st_size
-    refuse(about.points * row > most, what, f"{about.points} points in so few bytes", PCD)
+    found, size = f"{about.points} points", about.points * row
+    check_bytes(path, what, found, size, PCD, most=MOST_OF_A_BYTE)
     with reading(path, "cloud", PCD):
         rows = np.atleast_1d(pypcd4.PointCloud.from_path(path).pc_data)
     refuse(not {*"xyz"} <= {*rows.dtype.names}, what, f"fields {', '.join(about.fields)}", PCD)

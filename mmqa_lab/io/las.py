@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_choice, check_columns, check_points, refuse
 from mmqa_lab.cloud import Cloud, extent
-from mmqa_lab.io.files import MOST_PER_BYTE, reading, write_atomically
+from mmqa_lab.io.files import check_bytes, reading, write_atomically
 from mmqa_lab.io.marks import FLAGS, Piece
 from mmqa_lab.io.outlines import plan_extent
 from mmqa_lab.io.systems import las_system
@@ -178,9 +178,8 @@ def las_pieces(path, chunk, columns):
         reader = laspy.open(_plain_source(path))
     with reader:
         header, read = reader.header, 0
-        most = max(LARGEST_CHUNK, MOST_PER_BYTE * path.stat().st_size)
-        found = f"{header.point_count} points in so few bytes"
-        refuse(header.point_count > most, f"cloud {path}", found, LAS)
+        count = header.point_count
+        check_bytes(path, f"cloud {path}", f"{count} points", count, LAS, few=LARGEST_CHUNK)
         _check_header(path, header)
         extra = len(header.vlrs.get("ExtraBytesVlr"))
         if extra > 1:

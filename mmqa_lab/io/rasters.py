@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from mmqa_lab._checks import check_file, check_same_crs, needs, refuse
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.io.clouds import read_cloud
-from mmqa_lab.io.files import MOST_PER_BYTE, reading, write_atomically
+from mmqa_lab.io.files import check_bytes, reading, write_atomically
 from mmqa_lab.io.images import MOST_VALUES, TIFF_ENDINGS
 from mmqa_lab.io.marks import without_height
 from mmqa_lab.io.systems import named_system
@@ -136,9 +136,8 @@ def _raster_cloud(path):
     with open_raster(path, "reference") as (file, _):
         pages = len(file.subdatasets)
         refuse(file.count != 1, what, f"{file.count} bands", RASTERS)
-        most = max(FEW_CELLS, MOST_PER_BYTE * path.stat().st_size)
-        found = f"{file.width} x {file.height} cells in so few bytes"
-        refuse(file.width * file.height > most, what, found, RASTERS)
+        found, cells = f"{file.width} x {file.height} cells", file.width * file.height
+        check_bytes(path, what, found, cells, RASTERS, few=FEW_CELLS)
         one_bit = file.tags(1, ns="IMAGE_STRUCTURE").get("NBITS") == "1"
         kind = "bool" if one_bit else file.dtypes[0]
         refuse(one_bit or kind.startswith("complex"), what, f"values of type {kind}", "heights")

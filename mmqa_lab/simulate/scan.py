@@ -387,7 +387,7 @@ def _footprint(scanner, origin, direction, turn):
 def _spread(origin, direction, sides, turn, radius, growth, starts, aims):
     """Fill in starts and aims (n, 7, 3) of the axis and a ring of rays, from its two ``sides``."""
     for n in range(len(origin)):
-        for j in range(3):  # an assignment of arrays takes 8 s to compile
+        for j in range(3):  # arrays that are assigned take 8 s to compile
             starts[n, 0, j], aims[n, 0, j] = origin[n, j], direction[n, j]
         for ray in range(6):
             angle = turn[n] + np.pi / 3 * ray
@@ -401,10 +401,9 @@ def _spread(origin, direction, sides, turn, radius, growth, starts, aims):
 def _strongest(hits):
     """Columns of the strongest echo of each pulse; no signal where there is none.
 
-    Hits closer than 0.6 m in range fall into one echo: its range is their mean
-    weighted by the signal (reflectance x cosine / range2), its signal their sum over the rays, its
-    surface and cosine those of its strongest part; it is mixed where they belong to several
-    surfaces.
+    Hits closer than 0.6 m in range fall into one echo: its range is their mean weighted by the
+    signal (reflectance x cosine / range2), its signal their sum over the rays, its surface and
+    cosine those of its strongest part; it is mixed where they belong to several surfaces.
     """
     ranges = np.nan_to_num(hits.range_m, nan=np.inf)
     signal = np.nan_to_num(hits.reflectance * hits.cosine / hits.range_m**2)
