@@ -171,8 +171,8 @@ def adjust_block(
     even part of anisotropy (b1) are one effect and only their sum is determined. Fix one of them or
     give its prior. A control target that is wrong by less than about eight of its standard
     deviations may stay unnamed, since it draws gains and haze: of six, one that is wrong by five is
-    named in a quarter to four fifths of the blocks, and where one is not, intervals of gains cover
-    .50 to .94.
+    named in a third to three quarters of the blocks, and where none is, intervals of gains cover
+    .60 to .96.
 
     References
     ----------

@@ -240,6 +240,7 @@ BLOCKS = {
     "a control in shadow": lambda table, rng: np.where(
         table["tie"] == 3, rng.uniform(0.4, 0.8), 1.0
     ),
+    "a control labelled 1.15 times": lambda table, rng: 1.0,
     "the brightest control labelled 1.15 times": lambda table, rng: 1.0,
     "a control wrong by 3 deviations": lambda table, rng: 1.0,
     "a control wrong by 5 deviations": lambda table, rng: 1.0,
@@ -259,7 +260,8 @@ def blocks(draws):
                 table, ground, gain = block(rng, noise=noise)
                 table["radiance"] *= light(table, rng)
                 known = ground[:6] + 0.003 * rng.standard_normal(6)
-                known[known.argmax()] *= 1.15 if "labelled" in name else 1
+                wrong = known.argmax() if "brightest" in name else 3
+                known[wrong] *= 1.15 if "labelled" in name else 1
                 known[3] += 0.003 * int(name.split()[-2]) if "deviations" in name else 0
                 control = pd.DataFrame({"tie": range(6), "reflectance": known, "std": 0.003})
                 with warnings.catch_warnings(record=True) as told:
