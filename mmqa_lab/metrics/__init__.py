@@ -6,9 +6,9 @@ and ``misses``. :func:`table` measures several; which of them says what can be d
 is the subject of notebook 12.
 """
 
-from mmqa_lab.metrics import amount, evenness, gaps
+from mmqa_lab.metrics import definitions
 from mmqa_lab.metrics.pattern import Pattern
 from mmqa_lab.metrics.registry import METRICS, Metric, table
 from mmqa_lab.metrics.supports import supports
 
-__all__ = ["METRICS", "Metric", "Pattern", "amount", "evenness", "gaps", "supports", "table"]
+__all__ = ["METRICS", "Metric", "Pattern", "definitions", "supports", "table"]

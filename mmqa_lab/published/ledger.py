@@ -39,9 +39,6 @@ CELL_NUMBERS = ["value", "low", "high"]
 CELL = ["source", "table", "cell"]
 COLUMNS = [*CELL, *CELL_NUMBERS, "kind", "note"]
 
-# Widest line pairs of the chart (Pfeifer et al. 2021, section 3.2): a dash is read as coarser.
-COARSEST_MM = {"h": 40.0, "v": 30.0}
-
 
 def cells() -> pd.DataFrame:
     """Return every printed number of the five sources.

@@ -8,7 +8,13 @@ import pandas as pd
 from mmqa_lab import bench as benches
 from mmqa_lab.chart_cloud import chart_polygon, evaluate_cloud
 from mmqa_lab.metrics import METRICS
-from mmqa_lab.studies.fitness.acquisitions import RANGES, acquisitions, beam_radius, drive
+from mmqa_lab.studies.fitness.acquisitions import (
+    RANGES,
+    SQUARE,
+    acquisitions,
+    beam_radius,
+    drive,
+)  # fmt: skip
 from mmqa_lab.studies.fitness.comparison import (
     advice,
     by_kind,
@@ -29,8 +35,6 @@ __all__ = [
     "contradictions", "correlations", "drive", "halves", "make", "matrix", "measured",
     "real_boards", "road_squares", "thresholds", "winners", "written",
 ]  # fmt: skip
-
-SQUARE = np.array([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0]])
 
 
 @lru_cache(maxsize=1000)

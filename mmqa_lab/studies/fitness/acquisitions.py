@@ -11,7 +11,9 @@ from mmqa_lab.simulate import PRESETS, Scanner, Scene, cylinder, rectangle, stra
 from mmqa_lab.simulate.surfaces import disc
 from mmqa_lab.simulate.trajectories import Trajectory
 
-__all__ = ["KINDS", "POSTS", "RANGES", "SIGN_M", "WIRE", "acquisitions", "beam_radius", "drive"]
+__all__ = [
+    "KINDS", "POSTS", "RANGES", "SIGN_M", "SQUARE", "WIRE", "acquisitions", "beam_radius", "drive",
+]  # fmt: skip
 
 RANGES = {
     "speed_kmh": (20, 80), "distance_m": (4, 25), "height_m": (0, 2), "turn_deg": (-30, 30),
@@ -62,6 +64,9 @@ WALLS = (
     ("posts", (-2, -1.5, -0.6), (4, 0, 0), (0, 0, 1.2)),
 )
 """Rectangles of the objects: a corner and two sides, along the road, up and towards the road, m."""
+
+SQUARE = 0.5 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+"""Corners of a chart or a board about its middle, m."""
 
 SIGN_M, WIRE = 0.3, ((-1, -0.4, 0), (1, 0.4, 0), 0.01)
 """Radius of the round sign; ends and radius of the wire, m."""

@@ -12,6 +12,7 @@ from mmqa_lab import io, samples
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.metrics import METRICS
 from mmqa_lab.planes import fit_plane
+from mmqa_lab.studies.fitness.acquisitions import SQUARE
 from mmqa_lab.studies.fitness.tasks import relief_errors, shown
 
 __all__ = ["real_boards", "road_squares", "thinned"]
@@ -27,7 +28,6 @@ BOARD_M = (0.61, 0.85)
 FLAT_M = 0.03
 """Largest standard deviation of a stretch about its plane."""
 
-RING = np.array([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0]])
 
 SHARES = 0.5 ** np.arange(8)
 """Shares of the points that are left."""
@@ -122,7 +122,7 @@ def _thinned(points, places, repeats, rng):
             uv = thing[:, :2] @ np.array([[c, -s], [s, c]])
             errors = shown(thing[:, :2]) | relief_errors(uv, thing[:, 2], 0.005, [7])
             with suppress(ValueError):  # what is left on a line has no plane along the ring
-                yield evaluate_cloud(chart, polygon=RING), errors
+                yield evaluate_cloud(chart, polygon=SQUARE), errors
 
 
 def road_squares():

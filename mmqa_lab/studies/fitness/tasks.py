@@ -9,7 +9,7 @@ from mmqa_lab import poles
 from mmqa_lab.lines import extract_edges
 from mmqa_lab.planes import fit_plane
 from mmqa_lab.spacing import empty_space
-from mmqa_lab.studies.fitness.acquisitions import POSTS, SIGN_M, WIRE
+from mmqa_lab.studies.fitness.acquisitions import POSTS, SIGN_M, SQUARE, WIRE
 
 __all__ = ["FREE", "GOOD", "TASKS", "Task", "errors_of"]
 
@@ -103,12 +103,9 @@ def shown(xy):
     """
     if len(xy) < 4:
         return {"detail_5_percent": 100.0, "detail_10_percent": 100.0, "detail_mm": 1000.0}
-    third = empty_space(xy, outline=SQUARE, rank=3)
+    third = empty_space(xy, outline=SQUARE[:, :2], rank=3)
     missed = {f"detail_{k}_percent": 100 * (1 - third.share(k / 200)) for k in (5, 10)}
     return missed | {"detail_mm": np.nan_to_num(2000 * third.e95, nan=1000.0)}
-
-
-SQUARE = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 
 
 def averaged(relief, uv, radius):

@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.metrics import METRICS
 from mmqa_lab.scan_pattern import ScanSetup, Target, scan_lattice
-from mmqa_lab.studies.fitness.acquisitions import KINDS, acquisitions, drive
+from mmqa_lab.studies.fitness.acquisitions import KINDS, SQUARE, acquisitions, drive
 
 __all__ = ["CHART_AT", "FACADES", "METRICS_MOVED", "PREDICTIONS", "STREET", "predicted", "reach"]
 __all__ += ["street", "summary"]
@@ -117,8 +117,7 @@ def _board(case, far, turn_deg, rng):
     points, _, axes = drive(placed, rng, only="board")
     if len(points["board"]) < 10:
         return dict.fromkeys(METRICS_MOVED, np.nan)
-    ring = np.array([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0]])
-    chart = evaluate_cloud(points["board"] @ axes["board"], polygon=ring @ axes["board"])
+    chart = evaluate_cloud(points["board"] @ axes["board"], polygon=SQUARE @ axes["board"])
     return {name: METRICS[name](chart) for name in METRICS_MOVED}
 
 
