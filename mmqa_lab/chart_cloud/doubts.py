@@ -121,10 +121,15 @@ def remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
 def remarks_on_surface(points, plane, xy, outline, has_polygon, step_mm, scale):
     """Remarks on what lies empty, and on a surface that is no plane with noise alone."""
     residuals_mm = 1000 * plane.residuals
+    space = space_within(xy, outline, most=GAP_PLACES)
+    block = block_numbers(np.concatenate([space.places, xy]))
+    small = block_numbers(xy, side=int(np.clip((len(xy) / 8) ** 0.5, 1, 8)))
+    gaps: tuple[str, ...] = ()
+    if outline.area:
+        gaps = (*_gaps(space, has_polygon), *_uneven(block, len(space.places), outline.area))
     layers = _layers(residuals_mm, step_mm)
-    gaps = _gaps(xy, outline, has_polygon) if outline.area else ()
-    part = _part(points, plane, scale, step_mm)
-    return (*gaps, *layers, *part, *_form(xy, residuals_mm, step_mm, scale))
+    form = _form(xy, residuals_mm, small, step_mm, scale)
+    return (*gaps, *layers, *_part(points, plane, scale, step_mm), *form)
 
 
 def is_coarse(d1_mm: float, step_mm: float) -> bool:
@@ -149,14 +154,13 @@ def is_below_step(d1_mm: ArrayLike, step_mm: float) -> np.ndarray:
     return np.multiply(2, d1_mm) < step_mm
 
 
-def _gaps(xy, outline, has_polygon):
+def _gaps(space, has_polygon):
     """A remark if a part of the outline is empty beside what the other gaps let expect."""
-    space = space_within(xy, outline, most=GAP_PLACES)
     away = space.distances
     limit = EMPTY_MEDIANS * np.median(away)
-    share, uneven = np.mean(away > limit), _uneven(space.places, xy, outline.area)
+    share = np.mean(away > limit)
     if share < EMPTY_SHARE:
-        return uneven
+        return ()
     empty = f"{100 * share:.0f} % of the {'polygon' if has_polygon else 'hull of the points'} lies "
     empty += f"more than {1000 * limit:.0f} mm from any point: the density counts it."
     whole = np.percentile(away, 95)
@@ -167,17 +171,19 @@ def _gaps(xy, outline, has_polygon):
             has_polygon and not whole < 1.1 * space.e95,
             f"Points end before the border: e95 is {1000 * whole:.0f} mm if places there count.",
         ),
-    ) + uneven  # fmt: skip
+    )
 
 
-def _uneven(places, xy, area_m2):
-    """A remark if some blocks of the outline have several times as many points as others."""
-    block = block_numbers(np.concatenate([places, xy]))
-    of, n = (np.bincount(part, minlength=16) for part in np.split(block, [len(places)]))
+def _uneven(block, places, area_m2):
+    """A remark if some blocks of the outline have several times as many points as others.
+
+    ``block`` are the blocks of so many places, then those of the points.
+    """
+    of, n = (np.bincount(part, minlength=16) for part in (block[:places], block[places:]))
     full = (n > 0) & (of > of.max() / 2)
-    if len(xy) < UNEVEN_POINTS * len(n) or not full.any():
+    if n.sum() < UNEVEN_POINTS * len(n) or not full.any():
         return ()
-    low, high = np.quantile((n[full] / of[full]) * len(places) / area_m2, [0.1, 0.9])
+    low, high = np.percentile((n[full] / of[full]) * places / area_m2, [10, 90])
     said = f"Points are uneven: {low:.0f} per m2 in the sparse tenth, {high:.0f} in the dense one."
     return sentences((high > UNEVEN_RATIO * low, said))
 
@@ -188,7 +194,7 @@ def is_by_chance(xy, axes):
     return axes != "horizontal" and wide < ALIKE * narrow
 
 
-def _form(xy, residuals_mm, step_mm, scale):
+def _form(xy, residuals_mm, block, step_mm, scale):
     """A remark if the form of a surface, bent or stepped, is most of its distances from a plane."""
     if len(xy) < FEWEST_POINTS or np.std(residuals_mm) < max(step_mm / 4, COARSE_MM):
         return []
@@ -201,7 +207,6 @@ def _form(xy, residuals_mm, step_mm, scale):
             f"The surface is bent: its form is {100 * share:.0f} % of the variance of the "
             f"distances. Without it sigma_MAD is {sigma_mad(rest, scale):.1f} mm."
         ]
-    block = block_numbers(xy, side=int(min(8, (len(xy) / 8) ** 0.5)))
     counts = np.maximum(np.bincount(block), 1)
     within = residuals_mm - (np.bincount(block, residuals_mm) / counts)[block]
     # the means of the blocks take a part of the noise

@@ -22,7 +22,7 @@ from nbclient.exceptions import CellExecutionError, DeadKernelError
 from PIL import Image
 from scipy.spatial import cKDTree
 
-from mmqa_lab import plots
+from mmqa_lab import plots, published
 from mmqa_lab.io import write_atomically
 from mmqa_lab.metrics import METRICS
 from mmqa_lab.metrics.supports import CURVES
@@ -267,17 +267,10 @@ def _store_figure(path, target, width):
     write_atomically(target, lambda file: file.write_bytes(content))
 
 
-PRINTED_BY = {
-    "pfeifer2021": "Pfeifer et al. 2021", "poreba2013": "Poreba and Goulette 2013",
-    "cahalane2014": "Cahalane et al. 2014", "eurosdr2013_mls": "EuroSDR 2013, scanners",
-    "eurosdr2013_radiometry": "EuroSDR 2013, images",
-}  # fmt: skip
-"""Names of the sources in the README's picture of the ledger."""
-
-
 def _store_ledger(counts, target):
     """Draw the verdicts on the results of each source as stacked bars."""
-    counts = counts.rename(index=PRINTED_BY, columns={"fitted": "served to fit"})
+    short = published._strings("sources").set_index("source")["short"]
+    counts = counts.rename(index=short, columns={"fitted": "served to fit"})
     with plots.style():
         names = ("green", "sky", "orange", "vermilion", "grey", "black")
         bars = {"stacked": True, "color": [plots.COLOURS[name] for name in names]}

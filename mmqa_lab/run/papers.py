@@ -12,6 +12,7 @@ import matplotlib
 import pandas as pd
 from jinja2 import Environment, FileSystemLoader
 
+from mmqa_lab import published
 from mmqa_lab._checks import check_file, needs, refuse
 from mmqa_lab.bench import heading
 from mmqa_lab.io import write_atomically
@@ -34,15 +35,6 @@ MOST_COLUMNS = 6
 
 # Figures that are wider go over both columns.
 WIDE_PT = 260
-
-# Sources by words of a study's source.
-SOURCES = {
-    "Pfeifer": "pfeifer2021",
-    "Poreba": "poreba2013",
-    "Cahalane": "cahalane2014",
-    "mobile laser scanning": "eurosdr2013_mls",
-    "image radiometry": "eurosdr2013_radiometry",
-}
 
 
 def make_paper(folder: str | os.PathLike, results: str | os.PathLike) -> Path:
@@ -162,13 +154,14 @@ def _skeleton(name, study, record, ran):
     look = {"trim_blocks": True, "lstrip_blocks": True, "keep_trailing_newline": True}
     book = Environment(loader=FileSystemLoader(TEMPLATES / "paper"), **marks, **look)
     book.filters |= {"heading": heading, "escaped": escaped}
+    known = [*published._strings("sources").itertuples()]
     return book.get_template(name).render(
         study=study,
         runs=RUNS,
         most=MOST_COLUMNS,
         # keys of the study's sources in references.bib
-        sources=[key for words, key in SOURCES.items() if words in study.source]
-        or [*SOURCES.values()],
+        sources=[row.source for row in known if row.words in study.source]
+        or [row.source for row in known],
         values=[*_values(study, ran)],
         figures=[*_figures(record, ran)],
         tables=[*_tables(record, ran)],

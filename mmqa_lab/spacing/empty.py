@@ -147,8 +147,8 @@ def empty_space(xy: ArrayLike, *, outline: object = None, rank: int = 1) -> Empt
 def space_within(xy, outline, *, most=EMPTY_PLACES, rank=1):
     """The empty space of coordinates and an outline that are checked."""
     places = places_within(outline, most)
-    away = tree_of(xy).query(places, [rank])[0][:, 0]
-    return EmptySpace(places, away, from_border(outline, places))
+    border = from_border(outline, places)
+    return EmptySpace(places, tree_of(xy).query(places, [rank])[0][:, 0], border)
 
 
 def places_within(outline, most=EMPTY_PLACES):
