@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
-from scipy import stats
 
 from mmqa_lab import mtf, radiometry
 from mmqa_lab._checks import check_choice, check_columns, check_known, check_number, refuse
-from mmqa_lab._results import sentences
+from mmqa_lab._results import NORMAL, sentences
 from mmqa_lab.charts import decode
 from mmqa_lab.radiometry.doubts import unlikely_term
+from mmqa_lab.stats import student_reach
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -137,7 +137,7 @@ def _each(band, targets, _, *, fit):
 def _edge(region, _):
     """MTF50 and full width at half maximum of an edge."""
     edge = mtf.fit_edge(region)
-    share = 1.96 * edge.mtf50_sigma / edge.mtf50
+    share = NORMAL * edge.mtf50_sigma / edge.mtf50
     figures = _interval("mtf50", "_per_px", edge.mtf50, share * edge.mtf50)
     figures |= _interval("fwhm", "_px", edge.fwhm_px, share * edge.fwhm_px)
     return figures | {"angle_deg": edge.angle_deg, "n": edge.n, "remark": "; ".join(edge.remarks)}
@@ -147,7 +147,7 @@ def _star(band, target):
     """MTF50 and MTF10 of a star."""
     known = {"cycles": int(target["cycles"]), "radius_px": target["radius_px"]}
     star = mtf.measure_star(band, (target["x_px"], target["y_px"]), **known)
-    figures = _interval("mtf50", "_per_px", star.mtf50, 1.96 * star.mtf50_sigma)
+    figures = _interval("mtf50", "_per_px", star.mtf50, NORMAL * star.mtf50_sigma)
     unseen = np.isnan(star.mtf50), "the star does not show the frequency of MTF50"
     remark = "; ".join([*star.remarks, *sentences(unseen)])
     return figures | {"mtf10_per_px": star.at(0.1), "remark": remark}
@@ -206,7 +206,7 @@ def _calibrated(band, targets, number):
     exposure = [one * radiometry.relative_exposure(*setting) for one, *setting in taken]
     errors = {"std_dn": used["std_dn"], "exposure": exposure}
     fit = radiometry.fit_sensor(used["known"], used["mean_dn"], **errors)
-    reach = stats.t.ppf(0.975, fit.freedom) * fit.std
+    reach = student_reach(fit.std, fit.freedom)
     figures = _interval("gain", "", fit.gain, reach[0])
     figures |= _interval("offset", "_dn", fit.offset, reach[1])
     across = targets.loc[used.index, ["x_px", "y_px"]].to_numpy(dtype=float)
@@ -250,7 +250,7 @@ def _reflectances(band, targets, number):
     stated = {"std_dn": errors} if given or len(known) == 2 else {}
     seen_as = known["anisotropy"]
     line = radiometry.empirical_line(dn, known["known"], anisotropy=seen_as, **stated)
-    factor = stats.t.ppf(0.975, line.freedom)
+    factor = student_reach(1.0, line.freedom)
     for row in patches[patches["known"].isna()].itertuples():
         saturated, inside = row.saturated_share > 0, dn.min() <= row.mean_dn <= dn.max()
         value = float(line.reflectance(row.mean_dn, anisotropy=row.anisotropy))

@@ -11,8 +11,8 @@ from mmqa_lab.spacing.directions import FEWEST_POINTS, block_numbers
 from mmqa_lab.spacing.empty import space_within
 
 __all__ = [
-    "COARSE_MM", "PAIRS", "is_below_step", "is_coarse", "part_off", "remarks_on_points",
-    "remarks_on_surface",
+    "is_below_step", "is_coarse", "of_copies", "of_pairs", "of_steps", "part_off",
+    "remarks_on_points", "remarks_on_surface",
 ]  # fmt: skip
 
 
@@ -67,15 +67,10 @@ def remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
     d1_mm, d2_mm = 1000 * gaps.d[:2]
     away = np.hypot(*(gaps.xy - np.median(gaps.xy, axis=0)).T)
     far = away > FAR_QUANTILES * np.percentile(away, 90)
-    coarse = [f"sigma_MAD {sigma_mm:.3g} mm"] * int(step_mm > sigma_mm)
-    fine = not is_coarse(d1_mm, step_mm)
-    coarse += [f"d1 {d1_mm:.3g} mm"] * int(not fine)
+    coarse, steps = of_steps(step_mm, sigma_mm, d1_mm)
+    without = " d1 to d4, f and g have no intervals." * bool(is_coarse(d1_mm, step_mm))
     return sentences(
-        (
-            step_mm > COARSE_MM and coarse,
-            f"Coordinates are in steps of {step_mm:.3g} mm: too coarse for {' and '.join(coarse)}."
-            + ("" if fine else " d1 to d4, f and g have no intervals."),
-        ),
+        (coarse, steps + without),
         (
             is_below_step(d1_mm, step_mm),
             "f is not measured: points lie nearer to each other than the steps of coordinates.",
@@ -90,18 +85,8 @@ def remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
             "No point has neighbours in all four quadrants within the search radius: d4 and f are "
             "not measured.",
         ),
-        (
-            gaps.coincident > DUPLICATES * gaps.n,
-            f"{gaps.coincident} points ({100 * gaps.coincident / gaps.n:.3g} %) share their place "
-            "with another: they raise the density.",
-        ),
-        (
-            d2_mm > PAIRS * d1_mm,
-            lambda: (
-                f"d2 is {d2_mm / d1_mm:.0f} times d1: points come in pairs, as from two returns of "
-                "a pulse or from a repeated scan; density and f count both."
-            ),
-        ),
+        (gaps.coincident > DUPLICATES * gaps.n, of_copies(gaps.coincident, gaps.n)),
+        of_pairs(d1_mm, d2_mm),
         (gaps.n < FEWEST_POINTS, f"Fewer than {FEWEST_POINTS} points: no confidence intervals."),
         (
             is_by_chance(gaps.xy, axes),
@@ -116,6 +101,27 @@ def remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
             ),
         ),
     )
+
+
+def of_steps(step_mm, sigma_mm, d1_mm):
+    """Whether steps of coordinates decide figures, and the remark on them."""
+    coarse = [f"sigma_MAD {sigma_mm:.3g} mm"] * int(step_mm > sigma_mm)
+    coarse += [f"d1 {d1_mm:.3g} mm"] * int(is_coarse(d1_mm, step_mm))
+    steps = f"Coordinates are in steps of {step_mm:.3g} mm: too coarse for {' and '.join(coarse)}."
+    return step_mm > COARSE_MM and coarse, steps
+
+
+def of_pairs(d1_mm, d2_mm):
+    """Whether points come in pairs, and the remark on them."""
+    said = "points come in pairs, as from two returns of a pulse or from a repeated scan; density "
+    said += "and f count both."
+    return d2_mm > PAIRS * d1_mm, lambda: f"d2 is {d2_mm / d1_mm:.0f} times d1: {said}"
+
+
+def of_copies(same, n):
+    """The remark on points in the place of another."""
+    share = f"{same:.0f} points ({100 * same / n:.3g} %) share their place with another"
+    return f"{share}: they raise the density."
 
 
 def remarks_on_surface(points, plane, xy, outline, has_polygon, step_mm, scale):

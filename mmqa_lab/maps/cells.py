@@ -11,7 +11,8 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import check_choice, check_known, check_points, check_positive
-from mmqa_lab.chart_cloud.doubts import COARSE_MM, PAIRS, is_below_step, is_coarse
+from mmqa_lab._results import sentences
+from mmqa_lab.chart_cloud.doubts import is_below_step, of_copies, of_pairs, of_steps
 from mmqa_lab.chart_cloud.evaluate import plan_chart
 from mmqa_lab.cloud import (
     ON_BORDER,
@@ -252,19 +253,13 @@ def dataset_of(table, run):
 def _remarks(medians, step_mm, below, same, count):
     """What speaks against the figures of a map."""
     d1, d2, sigma = medians[["d1", "d2", "sigma_mad"]]
-    coarse = [f"sigma_MAD {sigma:.3g} mm"] * int(step_mm > sigma)
-    coarse += [f"d1 {d1:.3g} mm"] * int(is_coarse(d1, step_mm))
     near = f"f is not measured in {below} cells: points lie nearer than the steps"
-    steps = f"Coordinates are in steps of {step_mm:.3g} mm: too coarse for {' and '.join(coarse)}."
-    pairs = f"d2 is {d2 / d1:.0f} times d1: points come in pairs, as from two returns of a pulse"
-    share = f"{same:.0f} points ({100 * same / count:.3g} %) share their place with another"
-    remarks = (
-        (step_mm > COARSE_MM and coarse, steps),
+    return sentences(
+        of_steps(step_mm, sigma, d1),
         (below, f"{near}, as of tiles that overlap; the density counts both."),
-        (d2 > PAIRS * d1, f"{pairs} or from a repeated scan; density and f count both."),
-        (same, f"{share}: they raise the density."),
+        of_pairs(d1, d2),
+        (same, of_copies(same, count)),
     )
-    return [sentence for holds, sentence in remarks if holds]
 
 
 def placed(dataset: xr.Dataset, crs: Any) -> xr.Dataset:

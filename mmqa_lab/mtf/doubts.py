@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mmqa_lab._checks import refuse
-from mmqa_lab._results import sentences
+from mmqa_lab._results import NORMAL, sentences
 from mmqa_lab.mtf.transfer import BINS_PER_PIXEL, COARSE, profile, spread_edge
 
 __all__ = [
@@ -71,7 +71,7 @@ def remarks_on(fit, mtf50, sigma, turn, by_sigmoid):
     alone = not cut and second <= OTHER_STEP
     along_grid = f"edge within {SMALLEST_ANGLE_DEG:g} degrees of the pixel grid"
     levels = f"{1 / fit.rounding:.0f} grey values in the step and no noise"
-    known = 1.96 * sigma / mtf50
+    known = NORMAL * sigma / mtf50
     loose = f"MTF50 may be off by {known:.0%}, as its interval says"
     rings = f"noise of {fit.ringing:.1%} beside the edge alone, as of compression: MTF50 may be"
     rings += f" off by {4 * fit.ringing:.0%}"

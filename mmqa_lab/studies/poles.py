@@ -155,10 +155,9 @@ def _pooled(cells, end):
     yield rate("recall", "all", "hits", "targets")
     yield rate("precision", "all", "hits", "finds")
     own = cells[[f"{name}_{end}" for name in ("hits", "targets", "finds")]].to_numpy()
-    spread = stats.bootstrap(f1, own, repeats=500) if len(own) > 1 else None
-    low, high = (spread.low, spread.high) if spread else (np.nan, np.nan)
-    whole = rate("f1", "all", "hits", "targets")
-    yield whole | {"value": f1(own), "low": low, "high": high}
+    nothing = stats.Interval(np.nan, np.nan, np.nan)
+    spread = stats.bootstrap(f1, own, repeats=500) if len(own) else nothing
+    yield rate("f1", "all", "hits", "targets") | vars(spread)
     for kind in CLASSES:
         yield rate("recall", kind, f"{kind}_hits", f"{kind}_targets")
 
@@ -191,9 +190,8 @@ def differences(results, first, *, corridor=30.0):
     rows = []
     for other in [method for method in counted if method != first]:
         both = np.hstack([counted[first], counted[other]])
-        spread = stats.bootstrap(less, both, repeats=500) if len(both) > 1 else None
-        low, high = (spread.low, spread.high) if spread else (np.nan, np.nan)
-        rows.append({"other": other, "less": less(both), "low": low, "high": high})
+        spread = stats.bootstrap(less, both, repeats=500)
+        rows.append({"other": other, "less": spread.value, "low": spread.low, "high": spread.high})
     return pd.DataFrame(rows).assign(streets=results.sizes["seed"])
 
 

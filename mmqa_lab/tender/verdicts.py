@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import check_choice, check_columns, check_number, refuse
+from mmqa_lab._results import NORMAL
 from mmqa_lab.spacing import exempt
 from mmqa_lab.tender.tables import (
     PLACE,
@@ -23,7 +24,7 @@ VERDICTS = ("met", "exempt", "not met", "undecided", "not certain", "not measure
 NO_WIDTH = 1e-4
 """An interval narrower than this share of the figure states no uncertainty."""
 
-COVERAGE = 1.96
+COVERAGE = NORMAL
 """Multiples of a figure's standard deviation within which a threshold leaves it undecided."""
 
 

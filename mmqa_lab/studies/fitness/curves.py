@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import needs
+from mmqa_lab._results import NORMAL
 from mmqa_lab.studies.fitness.acquisitions import KINDS
 
 __all__ = ["curve", "supported"]
@@ -43,7 +44,7 @@ def curve(values, fit, at):
     found = models.Logit(done.astype(float), models.add_constant(x)).fit(disp=0)
     rows = models.add_constant(np.log(at), has_constant="add")
     odds = rows @ found.params
-    reach = 1.96 * np.sqrt(np.einsum("ij,jk,ik->i", rows, found.cov_params(), rows))
+    reach = NORMAL * np.sqrt(np.einsum("ij,jk,ik->i", rows, found.cov_params(), rows))
     return 1 / (1 + np.exp(-np.array([odds, odds - reach, odds + reach])))
 
 
