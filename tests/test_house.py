@@ -121,6 +121,7 @@ GONE = {
     "chart_image.quality_index": "three quarters of the capitals over w",
     "chart_image.rules.quality_index": "three quarters of the capitals over w",
     "chart_image.rules.colour_fringes": "study 09, where it is a cell",
+    "chart_image.rules.expected_marks": "tender.published_results(by_pixels=True)",
     "studies.poles_training.calibrated": "tests/poles_training.py",
     "studies.poles_training.example": "tests/poles_training.py",
     "studies.poles_training.lessons": "tests/poles_training.py",

@@ -166,7 +166,6 @@ CASES = dict(
         of("chart_image", "agreement", "table", VOTES, "order"),
         of("chart_image", "check_marks", "table", VOTES, ""),
         of("chart_image", "expected_contrast", "values", exact([2.0, 5, 9]), "", sigma_px=0.8),
-        of("chart_image", "expected_marks", "values", exact([2.0, 5, 9]), ""),
         of("chart_image", "four_corners", "plan", exact([[0, 0], [9, 0], [9, 7], [0, 7]]), "",
            columns=2),
         of("chart_image", "choose_images", "table", STATIONS, "",

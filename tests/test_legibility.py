@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from mmqa_lab import chart_image, charts, published
+from mmqa_lab import chart_image, charts, published, tender
 from mmqa_lab.simulate import cameras
 
 
@@ -68,30 +68,12 @@ def judged():
     return pd.DataFrame({"mark": marks, "pixel_mm": sizes}).query("mark != ''")
 
 
-def test_pixels_per_capital_agree_with_the_printed_marks_in_sample_and_mostly_out_of_it():
+def test_marks_of_texts_that_were_not_judged_lie_between_those_of_judged_photographs():
     seen = judged()
-    found = chart_image.expected_marks(40 / seen["pixel_mm"])
-    assert len(seen) == 12
-    assert (found["mark"].to_numpy() == seen["mark"]).all()
-    assert (found["best"] <= found["mark"]).all()
-    assert (found["mark"] <= found["worst"]).all()
-    right = 0
-    for k in range(len(seen)):
-        rest = seen.drop(index=seen.index[k])
-        ends = {
-            mark: 40 / rest.loc[rest["mark"] == mark, "pixel_mm"] for mark in rest["mark"].unique()
-        }
-        pixels, mark = 40 / seen["pixel_mm"].iloc[k], "c"
-        for better, worse in (("b", "c"), ("a", "b" if "b" in ends else "c")):
-            if better in ends and pixels >= (ends[better].min() + ends[worse].max()) / 2:
-                mark = better
-        right += mark == seen["mark"].iloc[k]
-    assert right == 10
-
-
-def test_marks_are_open_between_the_photographs_that_were_judged():
-    # C at 5 m is b with 40 mm / 3.8 mm, B backward a with 40 mm / 3.5 mm, printed to 0.1 mm
-    pixels = [40 / 3.85 - 0.01, 40 / 3.85 + 0.01, 40 / 3.45 - 0.01, 40 / 3.45 + 0.01]
-    found = chart_image.expected_marks(pixels)
-    assert found["best"].tolist() == ["b", "a", "a", "a"]
-    assert found["worst"].tolist() == ["c", "c", "b", "a"]
+    texts = tender.published_results(by_pixels=True).query("quantity == 'legibility_60mm'")
+    texts = texts.set_index("system")
+    judged_px, text_px = 40 / seen["pixel_mm"], 60 / seen["pixel_mm"].loc["A", 5.0, "orthogonal"]
+    best = seen["mark"][judged_px >= text_px].max()
+    worst = seen["mark"][judged_px <= text_px].min()
+    found = texts.loc["A", ["low", "high", "value"]]
+    assert found.tolist() == ["abc".index(best), "abc".index(worst), worst]

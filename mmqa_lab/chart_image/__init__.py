@@ -14,7 +14,7 @@ from mmqa_lab.chart_image.alignment import BLOCKS, SIGMAS_PX, align
 from mmqa_lab.chart_image.doubts import hidden_texts
 from mmqa_lab.chart_image.finding import locate
 from mmqa_lab.chart_image.legibility import (
-    MARKS, Agreement, Crop, agreement, check_marks, expected_marks, text_crops,
+    MARKS, Agreement, Crop, agreement, check_marks, text_crops,
 )  # fmt: skip
 from mmqa_lab.chart_image.line_pairs import (
     HIDDEN, MOVED, SMALLEST_GAP, SMALLEST_PAIR_PX, PairReading, Resolution, expected_contrast,
@@ -30,6 +30,6 @@ __all__ = [
     "SMALLEST_PAIR_PX", "Agreement", "Bend", "ChartMap", "Crop", "ImageQuality", "LensCamera",
     "PairReading", "PanoramaCamera", "Resolution", "Tones", "agreement", "align", "chart_site",
     "check_marks", "choose_images", "evaluate_file", "evaluate_image",
-    "expected_contrast", "expected_marks", "find_tones", "four_corners", "hidden_texts", "locate",
+    "expected_contrast", "find_tones", "four_corners", "hidden_texts", "locate",
     "pixel_sizes", "read_pairs", "read_pattern", "resolution", "text_crops",
 ]  # fmt: skip

@@ -1,28 +1,19 @@
-"""How well the texts of a photographed chart can be read.
-
-The jury's marks are the reference for legibility. Pixels per capital
-stand in for them; they have columns of their own and are never merged with the marks.
-"""
+"""How well the texts of a photographed chart can be read: a jury's marks, and how it agrees."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import cv2
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
 
-from mmqa_lab import published
-from mmqa_lab._checks import check_choice, check_columns, check_row, needs, refuse
+from mmqa_lab._checks import check_choice, check_columns, needs, refuse
 from mmqa_lab._results import Shown
 from mmqa_lab.chart_image.maps import ChartMap
 from mmqa_lab.charts import Bar, Layout, Text
 
-__all__ = [
-    "MARKS", "Agreement", "Crop", "agreement", "check_marks", "expected_marks", "text_crops",
-]  # fmt: skip
+__all__ = ["MARKS", "Agreement", "Crop", "agreement", "check_marks", "text_crops"]
 
 MARKS = ("a", "b", "c")
 """a: each letter on its own can definitely be read; b: the text is legible; c: it is not (Pfeifer
@@ -30,9 +21,6 @@ et al. 2021, section 4.2, where a symbol counts like a letter)."""
 
 CROP_SIDES, CROP_BELOW, CROP_ABOVE = 0.5, 0.35, 0.2
 """Margins of a line, in heights of its capitals: its own tails fit, its neighbours' do not."""
-
-TEXT_MM, ROUNDING_MM = 40.0, 0.05
-"""Capital height that was judged, and half of the last digit of printed pixel sizes."""
 
 
 def text_crops(image: np.ndarray, layout: Layout, chart_map: ChartMap) -> list[Crop]:
@@ -80,39 +68,6 @@ def text_crops(image: np.ndarray, layout: Layout, chart_map: ChartMap) -> list[C
         part = cv2.remap(np.asarray(image, dtype=np.float32), sought, None, cv2.INTER_CUBIC)
         crops.append(Crop(element.name, element.text, part, float(element.cap / sizes[1])))
     return crops
-
-
-def expected_marks(cap_px: ArrayLike) -> pd.DataFrame:
-    """Return the marks that a jury would give by the pixels per capital height.
-
-    Parameters
-    ----------
-    cap_px : array_like, shape (n,)
-        Height of the capitals, pixels.
-
-    Returns
-    -------
-    DataFrame
-        ``cap_px``, ``mark`` (thresholds half way between the published photographs of neighbouring
-        marks), ``best`` and ``worst`` (thresholds at the first and at the second of these
-        photographs, whose pixel sizes are rounded).
-
-    Notes
-    -----
-    Two thresholds, a from 11.0 and b from 9.0 pixels, are fitted to the twelve marks of Table 1 and
-    agree with all of them. Predicted from the eleven others, 10 of the 12 are right. One photograph
-    alone has mark b.
-
-    Examples
-    --------
-    >>> expected_marks([30.0, 11.3, 9.5, 5.0])[["mark", "best", "worst"]].values.tolist()
-    [['a', 'a', 'a'], ['a', 'a', 'b'], ['b', 'b', 'c'], ['c', 'c', 'c']]
-    """
-    table = pd.DataFrame({"cap_px": check_row(np.atleast_1d(cap_px), "cap_px", missing=True)})
-    for name, limits in _limits().iterrows():
-        steps = (table[["cap_px"]].to_numpy() < limits.to_numpy()).sum(axis=1)
-        table[name] = np.where(table["cap_px"].notna(), np.array(MARKS, dtype=object)[steps], None)
-    return table
 
 
 def agreement(marks: pd.DataFrame) -> Agreement:
@@ -223,19 +178,3 @@ class Agreement(Shown):
     def to_frame(self) -> pd.DataFrame:
         """Return the verdict."""
         return self.verdict
-
-
-@lru_cache(maxsize=1)
-def _limits():
-    """Fewest pixels per capital height for marks a and b: half way, best and worst."""
-    table = published.table("pfeifer2021", "table_1").query("status != 'not_evaluated'")
-    key = ["system", "distance_m", "view"]
-    marks = table[table["quantity"] == "legibility"].set_index(key)["printed"].rename("mark")
-    bars = table.query("quantity == 'pixel size' and direction == 'v'").set_index(key)["value"]
-    sizes = {"cap_px": bars, "least_px": bars + ROUNDING_MM, "most_px": bars - ROUNDING_MM}
-    judged, limits = pd.concat([marks, TEXT_MM / pd.DataFrame(sizes)], axis=1), {}
-    for mark in MARKS[:-1]:
-        up, down = judged[judged["mark"] <= mark], judged[judged["mark"] > mark]
-        half = (up["cap_px"].min() + down["cap_px"].max()) / 2
-        limits[mark] = [half, down["least_px"].max(), up["most_px"].min()]
-    return pd.DataFrame(limits, index=["mark", "best", "worst"])

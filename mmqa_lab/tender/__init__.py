@@ -6,11 +6,11 @@ criteria, :func:`qualification` sums up per system. Of marks a is better than b,
 (doi:10.3390/rs13020237), sections 4.2 and 4.4, Tables 1 and 2.
 """
 
-from mmqa_lab.tender.paper import SETS, published_criteria, published_results
+from mmqa_lab.tender.paper import published_criteria, published_results
 from mmqa_lab.tender.tables import QUANTITIES
 from mmqa_lab.tender.verdicts import COVERAGE, qualification, verdict, verdicts
 
 __all__ = [
-    "COVERAGE", "QUANTITIES", "SETS", "published_criteria", "published_results", "qualification",
+    "COVERAGE", "QUANTITIES", "published_criteria", "published_results", "qualification",
     "verdict", "verdicts",
 ]  # fmt: skip

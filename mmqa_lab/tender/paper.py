@@ -11,10 +11,7 @@ import pandas as pd
 from mmqa_lab._checks import check_choice
 from mmqa_lab.tender.tables import is_mark
 
-__all__ = ["SETS", "published_criteria", "published_results"]
-
-SETS = ("test", "scenario 1", "scenario 2")
-"""Sets of criteria that the paper prints, of section 4.2 and of section 4.4."""
+__all__ = ["published_criteria", "published_results"]
 
 RESULT_COLUMNS = [
     *("system", "distance_m", "view", "direction"),
@@ -70,8 +67,8 @@ def published_results(*, repeatability: bool = False, by_pixels: bool = False) -
         line-pair width. Upper bounds are printed, so these are too wide.
     by_pixels : bool
         Give texts of 60 mm that were not judged the marks that their pixels per capital height
-        allow: the worst one, and the interval to the best one
-        (:func:`mmqa_lab.chart_image.expected_marks`).
+        allow, between those of the photographs that were judged: the worst one, and the interval
+        to the best one.
 
     Returns
     -------
