@@ -10,7 +10,7 @@ import pytest
 from mmqa_lab import bench, commands, samples
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.metrics import METRICS, supports
-from mmqa_lab.metrics.supports import CURVES
+from mmqa_lab.metrics.registry import CURVES
 from mmqa_lab.studies import fitness as study
 from mmqa_lab.studies import notebooks_folder
 from mmqa_lab.studies.fitness import acquisitions as make_cases

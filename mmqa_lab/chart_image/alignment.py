@@ -301,6 +301,7 @@ def _shifts(printed, seen, trusted, design):
     slopes, asked, before = sums[:, :2, :2], sums[:, :2, 2], sums[:, 2, 2]
     weight = np.ones(len(sums))
     for _ in range(8):
+        # normal equations over blocks b: terms i and l of the displacement along axes j and k
         matrix = np.einsum("b,bi,bjk,bl->ijlk", weight, design, slopes, design)
         matrix = matrix.reshape(2 * design.shape[1], -1)
         wanted = np.einsum("b,bi,bj->ij", weight, design, asked)

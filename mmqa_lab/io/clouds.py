@@ -13,10 +13,10 @@ import numpy as np
 
 from mmqa_lab._checks import check_choice, check_columns, check_file, refuse
 from mmqa_lab.cloud import Cloud, unit_remarks
+from mmqa_lab.io.files import form_of, refuse_unread
 from mmqa_lab.io.forms import e57_pieces, ptx_pieces, read_pcd, read_ply
 from mmqa_lab.io.las import LAS_ENDINGS, address_of, copc_pieces, las_pieces
 from mmqa_lab.io.marks import FLAGS, Piece, marked
-from mmqa_lab.io.signatures import form_of, refuse_unread
 from mmqa_lab.io.tables import text_places
 
 __all__ = ["CLOUD_ENDINGS", "iterate_cloud", "read_cloud"]

@@ -14,11 +14,10 @@ import numpy as np
 from mmqa_lab._checks import check_file, check_polygon, listed, refuse
 from mmqa_lab.cloud import Cloud, describe
 from mmqa_lab.io.clouds import iterate_cloud
-from mmqa_lab.io.files import plain_text
+from mmqa_lab.io.files import RAW_ENDINGS, form_of, plain_text, refuse_unread
 from mmqa_lab.io.images import IMAGE_ENDINGS, read_bands
 from mmqa_lab.io.outlines import OUTLINE_ENDINGS, stored_outlines
 from mmqa_lab.io.rasters import is_raster, open_raster, system_of
-from mmqa_lab.io.signatures import RAW_ENDINGS, form_of, refuse_unread
 from mmqa_lab.io.tables import read_table
 from mmqa_lab.io.trajectories import SBET_ENDINGS, path_table
 

@@ -1,4 +1,4 @@
-"""How a file is written, and how it is read at all: whole, in the right letters, or a sentence."""
+"""How a file is written, what it is by its first bytes, and how it is read at all, if it is."""
 
 from __future__ import annotations
 
@@ -15,9 +15,11 @@ from pathlib import Path
 import pandas as pd
 
 from mmqa_lab._checks import check_kind, full_path, refuse
-from mmqa_lab.io.signatures import WEB_PAGE
 
-__all__ = ["alone", "own_folder", "plain_text", "reading", "write_atomically"]
+__all__ = [
+    "PTX_HEAD", "RAW_ENDINGS", "alone", "form_of", "own_folder", "plain_text", "reading",
+    "refuse_unread", "write_atomically",
+]  # fmt: skip
 
 # Bytes at the beginning of a text file that tell its letters.
 HEAD = 65_536
@@ -31,6 +33,50 @@ FULL_BYTES = 2**20
 # The file by which a folder is known as one that the package writes.
 MARK = ".mmqa_lab"
 MARK_FLAGS = os.O_CREAT | os.O_APPEND | os.O_RDWR | getattr(os, "O_NOFOLLOW", 0)
+
+# Columns and rows of a scan, the scanner's place and axes, and the matrix to the common system.
+PTX_HEAD = re.compile(
+    rb"\s*(\d+)[ \t]*\n[ \t]*(\d+)[ \t]*\n((?:[^\s]+[ \t]+){2}[^\s]+[ \t]*\n){4}"
+    rb"(((?:[^\s]+[ \t]+){3}[^\s]+[ \t]*\n){4})"
+)
+
+# The readers of clouds by how files begin, whatever their ending says.
+BEGUN = {"e57": rb"ASTM-E57", "las": rb"LASF", "ply": rb"(\xef\xbb\xbf)?ply\s"}
+BEGUN |= {"pcd": rb"# \.PCD|VERSION \.?\d[^\n]*\n(#.*\n)*FIELDS ", "ptx": PTX_HEAD.pattern}
+
+# Photographs as their sensors saw them; DNG is read.
+RAW_ENDINGS = (
+    ".cr2 .cr3 .crw .nef .nrw .arw .srf .sr2 .raf .orf .rw2 .pef .srw .x3f .3fr .iiq .erf .mrw"
+)
+
+WEB_PAGE = rb"\s*<(!doctype )?html"
+
+# What is not read: how it begins, its endings, its name, and what to do.
+UNREAD = (
+    (rb"FUJIFILM|IIRO|IIU\0|FOVb|MM\0\*.{4}Ph|II\*\0.{4}CR|....ftypcrx", RAW_ENDINGS,
+     "a RAW photograph", "save it as TIFF of 16 bits"),
+    (WEB_PAGE, ".html .htm", "a web page", "download the file itself"),
+    (None, ".xlsx .xlsm .ods", "a workbook", "save its sheet as CSV"),
+    (rb"PK\x03\x04", ".zip .kmz .7z .rar", "a compressed archive", "unpack it"),
+    (rb"\x1f\x8b", ".gz .tgz", "a compressed archive", "unpack it"),
+    (rb"\s*ncols\s+\d+", "", "an ESRI grid", "give it as reference heights"),
+    (rb"SQLite format 3", ".gpkg", "a GeoPackage", "give it as --polygon"),
+    (rb"\0\0\x27\x0a", ".shp", "a shapefile", "give it as --polygon"),
+    (rb"fgb\x03fgb", ".fgb", "a FlatGeobuf", "give it as --polygon"),
+    (rb"II\*\0|MM\0\*", "", "a TIFF file", "give it as an image or as reference heights"),
+    (rb"\x89HDF|CDF[\1\2]", ".h5 .nc", "an HDF or NetCDF file", "save it as LAS or text"),
+    (rb"#ROSBAG|\x89MCAP", ".bag .mcap .db3", "a robot's log", "save its clouds as PCD"),
+    (rb"\xd4\xc3\xb2\xa1|\n\r\r\n", ".pcap .pcapng", "packets", "save them as LAS or PCD"),
+    (rb"\xd0\xcf\x11\xe0", ".xls", "an old Excel workbook", "save it as XLSX or CSV"),
+    (rb"AC10\d\d", ".dwg", "a DWG drawing", "save it as DXF"),
+    (rb"\0\0\0.ftyp(heic|heix|mif1)", ".heic .heif", "a HEIC photograph", "save it as JPEG"),
+    (rb"<\?xml|<kml", ".kml", "an XML file", "give outlines as --polygon"),
+    (rb"%PDF", ".pdf", "a PDF", "save its tables as CSV"),
+    (None, ".rcp .rcs .fls .lsproj .zfs .rxp .ptg .bin .cl3 .fws", "a scanner's own format",
+     "save it as E57 or LAS"),
+    (None, ".obj .stl .off .glb .gltf .fbx", "a mesh", "save its points as PLY"),
+    (None, ".npy .npz .mat .pkl .parquet", "an array", "save it as LAS or CSV"),
+)  # fmt: skip
 
 
 def check_bytes(path, what, found, n, must, *, few=0, most=MOST_PER_BYTE):
@@ -252,3 +298,24 @@ def _letters(head):
     except UnicodeDecodeError:
         return "cp1252"
     return "utf-8"
+
+
+def form_of(path):
+    """Which reader of clouds a file belongs to by its first bytes; "" if they tell none."""
+    with Path(path).open("rb") as file:
+        head = file.read(4096)
+    return next((name for name, mark in BEGUN.items() if re.match(mark, head)), "")
+
+
+def refuse_unread(path, name, *, endings=None):
+    """Raise a sentence that names the format of a file that is not read, if it is known.
+
+    Its first bytes tell it or its ending: one of ``endings``, by default any of the table.
+    """
+    with Path(path).open("rb") as file:
+        head = file.read(4096)
+    ending = Path(path).suffix.lower()
+    for mark, ends, what, instead in UNREAD:
+        begins = mark is not None and re.match(mark, head, re.DOTALL | re.IGNORECASE)
+        if begins or (ending in ends.split() and endings in (None, ends)):
+            raise ValueError(f"Invalid {name} {path}: {what}. Must be another; {instead}.")

@@ -14,9 +14,8 @@ import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import listed, needs, refuse, type_step
-from mmqa_lab.io.files import HEAD, check_bytes, plain_text, reading
+from mmqa_lab.io.files import HEAD, PTX_HEAD, check_bytes, plain_text, reading
 from mmqa_lab.io.marks import Piece
-from mmqa_lab.io.signatures import PTX_HEAD
 from mmqa_lab.io.tables import NO_NUMBERS
 
 __all__ = ["e57_pieces", "ptx_pieces", "read_pcd", "read_ply"]

@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from mmqa_lab._checks import check_file, refuse
-from mmqa_lab.io.files import HEAD, reading
-from mmqa_lab.io.signatures import RAW_ENDINGS, refuse_unread
+from mmqa_lab.io.files import HEAD, RAW_ENDINGS, reading, refuse_unread
 
 __all__ = ["IMAGE_ENDINGS", "read_bands", "read_image"]
 
@@ -213,7 +212,7 @@ def _decoded(path, flags):
     with reading(path, "image", IMAGES), _printed_below() as printed:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)  # any letters in the path
     if pixels is None:
-        refuse_unread(path, "image", others=RAW_ENDINGS)
+        refuse_unread(path, "image", endings=RAW_ENDINGS)
     refuse(DAMAGED.search(printed.getvalue()), f"image {path}", "damaged", IMAGES)
     refuse(pixels is None, f"image {path}", "no image that can be decoded", IMAGES)
     return pixels

@@ -125,19 +125,28 @@ class _Lines:
         self.points = grid.points + (grid.low - self.origin)
         self.normals = np.array([patch.plane.normal for patch in patches])
         self.centres = np.array([patch.plane.centre for patch in patches]) - self.origin
+        self.least = np.sin(np.radians(LEAST_DEG))
+        self._intersect(self._met(grid, owner[grid.order]))
+
+    def _met(self, grid, owner):
+        """Pairs of patches that meet in neighbouring cells; keeps where they do."""
         # a run of points of one patch in one cell: its first point, cell and patch
-        cell, owner = np.repeat(np.arange(len(grid.keys)), np.diff(grid.start)), owner[grid.order]
+        cell = np.repeat(np.arange(len(grid.keys)), np.diff(grid.start))
         change = (cell[1:] != cell[:-1]) | (owner[1:] != owner[:-1])
         self.start = np.flatnonzero(np.concatenate([[True], change, [True]]))
         cell, owner = cell[self.start[:-1]], owner[self.start[:-1]]
         which, other = _ranges(*np.searchsorted(cell, grid.near(cell, 1)).reshape(-1, 2).T)
         run = which // 9
         run, other = run[owner[run] != owner[other]], owner[other[owner[run] != owner[other]]]
-        meetings = np.unique((owner[run] * len(patches) + other) * len(cell) + run)
+        count = len(self.patches)
+        meetings = np.unique((owner[run] * count + other) * len(cell) + run)
         self.meeting, self.run = np.divmod(meetings, len(cell))
-        met = np.stack(np.divmod(np.unique(self.meeting), len(patches)), axis=1)
-        self.near = np.split(met[:, 1], np.searchsorted(met[:, 0], np.arange(1, len(patches))))
-        pairs, self.least = met[met[:, 0] < met[:, 1]], np.sin(np.radians(LEAST_DEG))
+        met = np.stack(np.divmod(np.unique(self.meeting), count), axis=1)
+        self.near = np.split(met[:, 1], np.searchsorted(met[:, 0], np.arange(1, count)))
+        return met[met[:, 0] < met[:, 1]]
+
+    def _intersect(self, pairs):
+        """Keep the pairs of planes with an edge, its direction and its foot."""
         first, second = self.normals[pairs].swapaxes(0, 1)
         cosine = (first * second).sum(axis=1)
         meet = 1 - cosine**2 >= self.least**2

@@ -8,7 +8,6 @@ is the subject of notebook 12.
 
 from mmqa_lab.metrics import definitions
 from mmqa_lab.metrics.pattern import Pattern
-from mmqa_lab.metrics.registry import METRICS, Metric, table
-from mmqa_lab.metrics.supports import supports
+from mmqa_lab.metrics.registry import METRICS, Metric, supports, table
 
 __all__ = ["METRICS", "Metric", "Pattern", "definitions", "supports", "table"]

@@ -1,4 +1,4 @@
-"""The registry of metrics: each has a unit, a direction, a source, a formula, and what it misses.
+"""The registry of metrics: each with its source and what it misses; what a surface supports.
 
 A metric is called with a chart, a :class:`~mmqa_lab.chart_cloud.CloudQuality`. What cannot be
 measured is NaN; :meth:`Metric.measure` gives the reason as well.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,10 @@ import pandas as pd
 from mmqa_lab._checks import check_known
 from mmqa_lab.metrics.pattern import Unmeasured
 
-__all__ = ["METRICS", "Metric", "metric", "table"]
+__all__ = ["CURVES", "METRICS", "Metric", "metric", "supports", "table"]
+
+CURVES = Path(__file__).with_name("curves.csv")
+"""Of the stored run of study 12: its table ``supported``, written when the run is stored."""
 
 
 @dataclass(frozen=True)
@@ -135,3 +139,48 @@ def table(
         rows.append((name, value, *ends, one.unit, one.better, one.source, remark))
     columns = ["metric", "value", "low", "high", "unit", "better", "source", "remarks"]
     return pd.DataFrame(rows, columns=columns)
+
+
+def supports(quality: Any) -> pd.DataFrame:
+    """Return what can be measured on surfaces like that of a chart, with 95 %.
+
+    Parameters
+    ----------
+    quality : CloudQuality
+
+    Returns
+    -------
+    DataFrame
+        For the smallest ``thing`` (step, tilt, detail, volume): ``value`` (NaN where the chart's
+        metric lies outside of what was tried), ``unit``, ``of`` what, the ``metric`` it follows
+        from with its ``measured`` value, ``n`` simulated acquisitions of the ``kinds`` of
+        scanners, and ``remarks``.
+
+    Notes
+    -----
+    The curves are fitted on simulated drives of study 12 (notebook 12), in half of which the chart
+    stood elsewhere than the thing. Errors of the navigation are not in them.
+
+    Examples
+    --------
+    >>> from mmqa_lab.chart_cloud import evaluate_cloud
+    >>> points = np.random.default_rng(1).uniform(0, 1, (3000, 3)) * [1, 1, 0.01]
+    >>> supports(evaluate_cloud(points))["thing"].tolist()
+    ['step', 'tilt', 'detail', 'volume']
+    """
+    table = pd.read_csv(CURVES)
+    measured = np.array([METRICS[name](quality) for name in table["metric"]])
+    with np.errstate(divide="ignore"):
+        values = table["factor"] * np.exp(table["intercept"] + table["slope"] * np.log(measured))
+    inside = (measured >= table["low"]) & (measured <= table["high"])
+    said = [
+        f"Fitted on simulated acquisitions (n = {n})."
+        if known
+        else f"{metric} lies outside of what was tried, {low:.3g} to {high:.3g}."
+        for n, metric, low, high, known in zip(
+            table["n"], table["metric"], table["low"], table["high"], inside, strict=True
+        )
+    ]
+    found = {"thing": table["thing"], "value": values.where(inside), "unit": table["unit"]}
+    found |= {"of": table["of"], "metric": table["metric"], "measured": measured}
+    return pd.DataFrame(found | {"n": table["n"], "kinds": table["kinds"], "remarks": said})

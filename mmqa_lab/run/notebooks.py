@@ -25,7 +25,7 @@ from scipy.spatial import cKDTree
 from mmqa_lab import plots, published
 from mmqa_lab.io import write_atomically
 from mmqa_lab.metrics import METRICS
-from mmqa_lab.metrics.supports import CURVES
+from mmqa_lab.metrics.registry import CURVES
 from mmqa_lab.published.ledger import collect, summary
 from mmqa_lab.run.pages import ANSWERS, LEDGER, notebook_page, stored_answers
 from mmqa_lab.run.results import new_record, read_record, write_record
