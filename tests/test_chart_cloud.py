@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from mmqa_lab import planes, tender
 from mmqa_lab.__main__ import main
 from mmqa_lab._checks import check_points
+from mmqa_lab._results import digits
 from mmqa_lab.chart_cloud import (
     chart_polygon,
     evaluate,
@@ -224,6 +225,7 @@ def test_what_the_points_cannot_tell_is_said(rng, change, said):
     assert said in " ".join(quality.remarks)
     table = quality.intervals()
     assert quality.n >= 50 or table[["low", "high"]].isna().all(axis=None)
+    assert "<td>" + digits(table["value"][0]) + "</td>" in quality._repr_html_()
 
 
 def test_axes_are_horizontal_on_upright_boards(rng):

@@ -15,7 +15,7 @@ import shapely
 
 from mmqa_lab import stats
 from mmqa_lab._checks import check_positive
-from mmqa_lab._results import Shown
+from mmqa_lab._results import Shown, printed
 from mmqa_lab.chart_cloud.doubts import is_below_step, is_by_chance, is_coarse
 from mmqa_lab.metrics.pattern import Pattern
 from mmqa_lab.planes import Plane
@@ -357,7 +357,7 @@ class CloudQuality(Shown):
         residuals.legend(loc="lower left", bbox_to_anchor=(0, 1), borderaxespad=0)
 
     def _repr_html_(self):
-        return self.intervals().to_html(index=False, float_format="{:.4g}".format)
+        return printed(self.intervals()).to_html(index=False)
 
     def _density_interval(self):
         """Density in the outline and its interval."""

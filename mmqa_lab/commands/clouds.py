@@ -141,7 +141,7 @@ def evaluate(
 
     frame = each_file(clouds, "cloud", measured)
     if out is not None and done:
-        say_shown(out, frame, "file")
+        say_shown(out, frame)
         write_figure(out, lambda: done[-1].plot(detail=detail))
     return frame
 

@@ -107,7 +107,7 @@ def image(
 
     frame = each_file(images, "image", measured)
     if out is not None and done:
-        say_shown(out, frame, "file")
+        say_shown(out, frame)
         write_figure(out, lambda: _two_panels(*done[-1]))
     return frame
 

@@ -112,7 +112,7 @@ def heard(function, *arguments, **choices):
     return found, [*said]
 
 
-def each_file(files, unit, measured, *, column="file", remark="remarks"):
+def each_file(files, unit, measured, *, column="file"):
     """Tables of files below each other; a file that fails has a row with the reason alone."""
     import pandas as pd
 
@@ -121,10 +121,10 @@ def each_file(files, unit, measured, *, column="file", remark="remarks"):
         table, said = heard(measured, file)
         if isinstance(table, Exception):
             errors, lost = [*errors, table], [*lost, *said]
-            table = pd.DataFrame([{remark: sentence_of(table, file)}])
-        own = table[remark].fillna("") if remark in table else [""] * len(table)
+            table = pd.DataFrame([{"remarks": sentence_of(table, file)}])
+        own = table["remarks"].fillna("") if "remarks" in table else [""] * len(table)
         told = [sentence.removeprefix(f"{file}: ") for sentence in said]
-        table[remark] = [" ".join([*(s for s in told if s not in o), o]).strip() for o in own]
+        table["remarks"] = [" ".join([*(s for s in told if s not in o), o]).strip() for o in own]
         table.insert(0, column, file.name)
         tables.append(table)
     if len(errors) == len(files) == 1:
@@ -288,11 +288,11 @@ def check_ending(path, name, endings):
         raise ValueError(f"Invalid {name} {path}. Must end in {', '.join(endings)}.")
 
 
-def say_shown(path, frame, column):
+def say_shown(path, frame):
     """Warn where a figure is not of the last file, because that one failed."""
-    figures = frame.drop(columns=[column, "remarks", "remark"], errors="ignore")
-    shown = frame[column][figures.notna().any(axis=1)].iloc[-1]
-    if shown != frame[column].iloc[-1]:
+    figures = frame.drop(columns=["file", "remarks"], errors="ignore")
+    shown = frame["file"][figures.notna().any(axis=1)].iloc[-1]
+    if shown != frame["file"].iloc[-1]:
         warnings.warn(f"{path} shows {shown}.", stacklevel=2)
 
 

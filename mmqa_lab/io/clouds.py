@@ -139,12 +139,8 @@ def iterate_cloud(
     else:
         read = others[form](path) if form in others else text_places(path, "cloud", finite=False)
         pieces = [Piece(*read)]
-    refuse(
-        scan is not None and form not in scanned,
-        f"scan {scan} of cloud {path}",
-        "no scans in it",
-        "left away",
-    )
+    unscanned = scan is not None and form not in scanned
+    refuse(unscanned, f"scan {scan} of cloud {path}", "no scans in it", "left away")
     read, dropped, counted = 0, Counter(), Counter()
     for piece in pieces:
         piece = piece._replace(columns=_known(piece.columns))

@@ -13,16 +13,8 @@ __all__ = ["parsed"]
 
 # Columns that name something: 001, 1E5 and NA are names there. Nothing in the last three is "".
 NAME_COLUMNS = (
-    "name",
-    "id",
-    "system",
-    "criterion",
-    "quantity",
-    "image",
-    "file",
-    "crop",
-    "juror",
-    "code",
+    *("name", "id", "system", "criterion", "quantity"),
+    *("image", "file", "crop", "juror", "code"),
 )
 REMARK_COLUMNS = ("reason", "remarks", "rejected_by")
 
