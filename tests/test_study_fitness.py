@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from mmqa_lab import bench, commands, samples
+from mmqa_lab import bench, commands, samples, stats
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.metrics import METRICS, supports
 from mmqa_lab.metrics.registry import CURVES
@@ -150,6 +150,13 @@ def test_correlations_go_by_position_and_leave_out_what_nobody_knows():
     assert found["task"].unique().tolist() == ["end_mm"]
     assert found.set_index("method").loc["e95", "spearman"] == pytest.approx(1)
     assert found.set_index("method").loc["f", "spearman"] == 0
+
+
+def test_correlations_are_spearmans_also_with_ties():
+    values = np.random.default_rng(2).integers(0, 9, (30, 4)).astype(float)
+    figures, errors = pd.DataFrame(values[:, :3]), pd.DataFrame({"end_mm": values[:, 3]})
+    found = study.correlations(figures, errors, resamples=2)["spearman"]
+    assert found.to_numpy() == pytest.approx(stats.rank_correlation(values[:, :3].T, values[:, 3]))
 
 
 def test_rules_as_written_know_the_exemption():

@@ -10,20 +10,15 @@ from mmqa_lab.spacing import exempt
 from mmqa_lab.studies.fitness.tasks import GOOD
 
 __all__ = [
-    "FEW",
-    "advice",
-    "by_kind",
-    "contradictions",
-    "correlations",
-    "halves",
-    "matrix",
-    "measured",
-    "thresholds",
-]
-__all__ += ["winners", "written"]
+    "FEW", "advice", "by_kind", "contradictions", "correlations", "halves", "matrix", "measured",
+    "thresholds", "winners", "written",
+]  # fmt: skip
 
 FEW = 10
 """Fewest fit and unfit clouds with which metrics are judged."""
+
+NEAR = 0.03
+"""A metric does if its balanced accuracy is less than so much behind the best one's."""
 
 RHO0 = 3000.0
 """The density of section 4.2 of Pfeifer et al. 2021, with its exemption."""
@@ -75,7 +70,10 @@ def correlations(figures, errors, *, resamples=300):
 
 
 def _spearman(values):
-    """Rank correlation of the last row with the others; 0 without spread."""
+    """Rank correlation of the last row with the others; 0 without spread.
+
+    It is :func:`mmqa_lab.stats.rank_correlation` of full rows, for thousands of samples.
+    """
     ranks = rankdata(values, axis=1)
     ranks -= ranks.mean(axis=1, keepdims=True)
     length = np.sqrt((ranks**2).sum(axis=1))
@@ -103,7 +101,7 @@ def written(figures):
     }
 
 
-def halves(figures, errors, *, good=GOOD, repeats=100, seed=0):
+def halves(figures, errors, *, good=GOOD, repeats=100):
     """Judge metrics with thresholds from a random half of the acquisitions on the other half.
 
     Parameters
@@ -114,8 +112,6 @@ def halves(figures, errors, *, good=GOOD, repeats=100, seed=0):
         Largest error of each task with which a cloud is fit.
     repeats : int
         Random halves.
-    seed : int
-        Of the halves.
 
     Returns
     -------
@@ -132,7 +128,7 @@ def halves(figures, errors, *, good=GOOD, repeats=100, seed=0):
     half is as large as the other). Intervals of differences hold together for all metrics of a
     task: their level is 1 - 0.05 / (metrics - 1) (Bonferroni).
     """
-    rows, rng = [], np.random.default_rng(seed)
+    rows, rng = [], np.random.default_rng(0)
     wide = 1 / repeats + 1
     for task, limit in good.items():
         known = errors[task].notna().to_numpy()
@@ -171,8 +167,10 @@ def by_kind(figures, errors, kinds, groups, **choices):
     return pd.concat(parts, ignore_index=True)
 
 
-def winners(table, groups, near=0.03):
+def winners(table, groups):
     """Return the best metric of each task in each group, and which metrics do for all of them.
+
+    A metric does if it is less than ``NEAR`` behind the best one in each group.
 
     Parameters
     ----------
@@ -180,8 +178,6 @@ def winners(table, groups, near=0.03):
         From :func:`by_kind`.
     groups : iterable of str
         Their order.
-    near : float
-        A metric does if it is less than so much behind the best one in each group.
 
     Returns
     -------
@@ -198,7 +194,7 @@ def winners(table, groups, near=0.03):
         wide.bfill(axis=1).iloc[:, 0].where(several & (wide.nunique(axis=1) == 1), "")
     )
     behind = table.groupby(["task", "method"], sort=False)["behind"].max()
-    close = behind[behind < near].reset_index().groupby("task")["method"].agg(", ".join)
+    close = behind[behind < NEAR].reset_index().groupby("task")["method"].agg(", ".join)
     wide["near the best in all"] = close.reindex(wide.index).where(several).fillna("")
     return wide
 
@@ -216,10 +212,10 @@ def contradictions(real):
     return both.loc[both["high"] < both["low_best"], columns].reset_index(drop=True)
 
 
-def advice(table, real, near=0.03):
+def advice(table, real):
     """Return which metric to ask for in each task by somebody who does not know the scanner.
 
-    Of the metrics that are less than ``near`` behind the best of the task over all acquisitions,
+    Of the metrics that are less than ``NEAR`` behind the best of the task over all acquisitions,
     it is the one that fewest real clouds contradict, and of these the one that is least behind in
     the group of scanners where it does worst.
 
@@ -229,22 +225,21 @@ def advice(table, real, near=0.03):
         From :func:`by_kind`, with all acquisitions as the group ``pooled``.
     real : DataFrame
         As of :func:`contradictions`.
-    near : float
 
     Returns
     -------
     DataFrame
         The rows of ``pooled`` with ``worst``, how much the best of a group has more at most;
-        ``near_in``, the groups in which that is less than ``near``; ``contradicted_by``.
+        ``near_in``, the groups in which that is less than ``NEAR``; ``contradicted_by``.
     """
     keys = ["task", "method"]
     whole = table["scanners"] == "pooled"
     pooled, groups = table[whole], table[~whole]
     worst = groups.groupby(keys)["behind"].max().rename("worst")
-    close = groups[groups["behind"] < near].groupby(keys)["scanners"].agg(", ".join)
+    close = groups[groups["behind"] < NEAR].groupby(keys)["scanners"].agg(", ".join)
     against = contradictions(real).groupby(keys)["data"].agg(["size", ", ".join])
     against.columns = ["sets", "contradicted_by"]
-    found = pooled[pooled["behind"] < near].join(worst, on=keys).join(against, on=keys)
+    found = pooled[pooled["behind"] < NEAR].join(worst, on=keys).join(against, on=keys)
     found = found.join(close.rename("near_in"), on=keys)
     nothing = {"worst": 1.0, "sets": 0, "contradicted_by": "none", "near_in": "none"}
     found = found.fillna(nothing).sort_values(["sets", "worst", "behind"], kind="stable")
