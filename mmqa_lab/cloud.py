@@ -146,7 +146,7 @@ class Cloud:
             check_same_crs(f"cloud {cloud.name!r}", cloud.crs, "first one", crs)
         shared = [key for key in clouds[0].columns if all(key in cloud for cloud in clouds)]
         columns = {key: np.concatenate([cloud[key] for cloud in clouds]) for key in shared}
-        coarsest = float(np.max([cloud.resolution for cloud in clouds]))
+        coarsest = float(np.fmax.reduce([cloud.resolution for cloud in clouds]))
         points = np.concatenate([cloud.points for cloud in clouds])
         return cls(points, columns, name, coarsest, crs)
 
@@ -360,6 +360,8 @@ def cells_of(points: ArrayLike, size: float) -> np.ndarray:
     """
     places = check_points(points, columns=None, minimum=0) / check_positive(size, "size")
     places += ON_BORDER
+    far = max(places.max(initial=0.0), -places.min(initial=0.0))
+    refuse(far > 2**62, f"cells of {size:g}", f"{far:.3g} of them on an axis", "fewer")
     return np.floor(places, out=places).astype(np.int64)
 
 
@@ -399,7 +401,7 @@ def sort_into_cells(points: np.ndarray, size: float) -> tuple[np.ndarray, ...]:
     index -= low
     wide = np.array([column.max() for column in index.T]) + 1
     if np.prod(wide.astype(float)) > 2.0**62:
-        raise ValueError(f"Invalid cell size {size}. Must be larger for a cloud as wide as this.")
+        raise ValueError(f"Invalid points: too wide for cells of {size:g}. Must lie nearer.")
     key = np.ravel_multi_index(tuple(index.T), tuple(wide))
     key = key.astype(np.min_scalar_type(np.prod(wide)))  # short numbers are sorted faster
     order = np.argsort(key, kind="stable")

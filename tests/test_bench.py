@@ -444,3 +444,29 @@ def test_a_part_of_the_results_has_a_table_and_its_failures_too():
     assert len(bench.cell_table(results.sel({"method": "a"}))) == 2
     one = bench.failures(results.sel({"method": "b", "seed": 2}))
     assert one[["method", "count"]].values.tolist() == [["b", 1]]
+    assert bench.summary(results.sel({"method": "a"}))["mean"].tolist() == [3]
+    assert bench.compare(results.sel({"method": "a"}), reference="a").empty
+
+
+def test_a_case_without_a_value_of_its_parameter_is_a_case():
+    rng, tables = np.random.default_rng(3), []
+    noise = rng.normal(size=(4, 3, 9))
+    for last in (9.0, np.nan):
+        cases = bench.grid(n=(1.0, 2.0, 3.0, last), s=range(3))
+        rows = zip(cases, noise.reshape(12, 9), strict=True)
+        drawn = {(str(one["n"]), one["s"]): row for one, row in rows}
+        made = {"make": lambda n, s, seed, drawn=drawn: drawn[str(n), s] + s}
+        results = bench.run(cases, {"mean": np.mean, "max": np.max}, **made)
+        tables.append(bench.rank(results, "s"))
+    pd.testing.assert_frame_equal(*tables)
+
+
+def test_a_figure_that_a_method_leaves_out_once_has_a_reason():
+    with pytest.warns(UserWarning, match="1 of 3 cells not measured; the first: v: nothing"):
+        found = bench.run(
+            bench.grid(n=(1, 2, 3)),
+            {"a": lambda n: {"u": n} | ({} if n == 2 else {"v": n}), "b": lambda n: {"u": -n}},
+            make=lambda n, seed: n,
+        )
+    assert bench.failures(found)[["method", "first_case"]].values.tolist() == [["a", "n=2, seed=0"]]
+    assert found["u"].sel({"method": "a"}).values.ravel().tolist() == [1, 2, 3]

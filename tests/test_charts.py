@@ -27,6 +27,14 @@ def test_what_is_printed_over_another_element_is_refused_or_covers_it():
     assert image[25:75, 25:75].max() > 0.9
 
 
+def test_what_is_no_element_and_targets_without_a_code_are_refused():
+    with pytest.raises(ValueError, match=r"Invalid elements of chart 'x': \['int'\]"):
+        Layout("x", 20, 20, [Bar("bar", 2, 2, 6, 6), 3])
+    for dictionary, number in (("DICT_9X9", 1), ("DICT_4X4_50", 50), ("DICT_4X4_50", -1)):
+        with pytest.raises(ValueError, match="target 'm'"):
+            Layout("x", 20, 20, [charts.Marker("m", 2, 2, 9, dictionary, number)])
+
+
 @pytest.mark.parametrize("layout", [CHART, charts.imaging_chart("revised")])
 def test_nothing_overlaps_but_text_on_its_panel(layout):
     boxes = []

@@ -49,4 +49,6 @@ def test_concatenating_keeps_what_all_have():
     both = Cloud.concatenate([a, b])
     assert both["ring"].tolist() == [1, 2, 3]
     assert "time" not in both
+    steps = [Cloud(np.zeros((1, 3)), resolution=one) for one in (0.02, np.nan, 0.001)]
+    assert Cloud.concatenate(steps).resolution == 0.02
     assert len(Cloud.concatenate([])) == 0

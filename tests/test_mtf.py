@@ -178,6 +178,8 @@ def test_sharpness_falls_with_blur(rng):
         image = blur_over_image(scene, np.full(scene.shape, sigma)) + rng.normal(0, 2, scene.shape)
         values.append(float(haar_sharpness(image, noise_std=2.0)["sharpness"].median()))
     assert np.all(np.diff(values) < 0)
+    tiny = haar_sharpness(1e-12 * image, noise_std=2e-12)["sharpness"].median()
+    assert float(tiny) == pytest.approx(values[-1])
     plain = haar_sharpness(np.full((64, 64), 5.0), noise_std=1.0)
     assert plain.attrs["not_measurable"] == 1
 

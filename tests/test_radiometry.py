@@ -18,6 +18,7 @@ from mmqa_lab.radiometry import (
     ndvi,
     patch_statistics,
     reflectance_factor,
+    stability,
 )
 from mmqa_lab.radiometry.reflectance import walthall_terms
 from mmqa_lab.simulate.targets import ATMOSPHERES, PointSpread, render_edge
@@ -243,6 +244,17 @@ def test_targets_of_an_image_are_measured_band_by_band(rng):
         linear=True,
     )
     assert seen["mtf50_per_px"].item() == pytest.approx(PointSpread(0.8).mtf50(5), rel=0.01)
+
+
+def test_what_gives_no_number_is_refused(rng):
+    with pytest.raises(ValueError, match="of different radiance and DN"):
+        fit_sensor([10, 20, 40, 80], [100] * 4)
+    fit = fit_sensor([10, 20, 40, 80], [120, 221, 420, 822])
+    with pytest.raises(ValueError, match="Invalid radiance 0"):
+        stability({"a": fit, "b": fit}, [0.0, 10])
+    table, _, _ = block(rng, images=4, ties=10)
+    with pytest.raises(ValueError, match=r"Invalid prior: radial \(0.2, nan\)"):
+        adjust_block(table, radial=(0.2, np.nan))
 
 
 @pytest.mark.parametrize("column", ["surface", "group", "azimuth_deg", "radius", "tie"])

@@ -297,6 +297,9 @@ def test_remarks_of_a_cloud_reach_the_verdict():
 def test_an_interval_without_width_says_nothing():
     assert tender.verdict(22.36068, "<", 30, low=22.36058, high=22.36068) == "not certain"
     assert tender.verdict(22.36, "<", 30) == "met"
+    for odd in ({"value": "5"}, {"value": None}, {"value": 5, "low": "4"}):
+        with pytest.raises(TypeError, match="Invalid figure"):
+            tender.verdict(**odd, relation="<", threshold=30)
     criteria = pd.DataFrame([("c", "d4_mm", "<", 30)], columns=tables.CRITERIA)
     row = {"system": "S", "quantity": "d4_mm", "value": 20.0, "low": 20.0, "high": 20.0}
     assert tender.verdicts(criteria, pd.DataFrame([row]))["verdict"].item() == "not certain"

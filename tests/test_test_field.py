@@ -50,6 +50,12 @@ def test_heights_do_not_change_far_from_the_origin(ground):
     far = height_differences(ground + FAR, reference + FAR)
     # float64 at 1e7 m carries 2e-9 m
     assert np.allclose(near["dz_m"], far["dz_m"], atol=1e-7)
+    x, y = np.meshgrid(np.arange(0, 4, 0.1), np.arange(0, 4, 0.1))  # four on a circle everywhere
+    grid = np.column_stack([x.ravel(), y.ravel(), ground[: x.size, 2]])
+    reference = np.column_stack([ground[:40, :2] * 0.3 + 0.5, np.zeros(40)])
+    near = height_differences(grid, reference)
+    far = height_differences(grid + FAR, reference + FAR)
+    assert np.allclose(near["dz_m"], far["dz_m"], atol=1e-7)
 
 
 def test_reasons():
@@ -157,6 +163,8 @@ def test_an_error_is_gross_from_five_standard_deviations_and_a_centimetre(
     xy = (centres[:, None] + rings).reshape(-1, 2)
     points = np.concatenate([np.column_stack([xy, np.full(len(xy), z)]) for z in (0.8, 1.2)])
     poles = pd.DataFrame(places, columns=["x_m", "y_m"]).assign(z_m=0.0, diameter_m=0.2)
+    with pytest.raises(ValueError, match=r"Invalid slices of 'pole'.* low and high"):
+        plan_differences(points, poles, slices={"pole": ((0.5,),)})
     found = plan_differences(points, poles, slices={"pole": ((0.5, 1.5),)})
     assert found.loc[found["reason"] == "gross error", "name"].tolist() == [22, 23]
     assert (found["reason"] == "").sum() == 22

@@ -108,3 +108,5 @@ def test_jurors_who_mark_at_the_same_time_lose_no_mark(tmp_path):
 def test_a_crop_needs_a_name(tmp_path, name):
     with pytest.raises(ValueError, match="Invalid name of a crop"):
         widgets.JuryForm({name: np.eye(3)}, juror="first", file=tmp_path / "marks.csv")
+    with pytest.raises(ValueError, match="Invalid juror:"):
+        widgets.JuryForm({"sign": np.eye(3)}, juror=" ", file=tmp_path / "marks.csv")

@@ -141,6 +141,8 @@ def check_points(points, *, name="points", columns=3, minimum=1):
         raise ValueError(f"Invalid {name} of shape {values.shape}. Must have shape {shape}.")
     if len(values) < minimum:
         raise ValueError(f"Invalid {name}: {len(values)} given. Must be {minimum} or more.")
+    step = 1000 * type_step(values) if values.dtype.itemsize < 8 else 0.0
+    refuse(step > 1, name, f"{values.dtype} in steps of {step:.3g} mm", "float64 so far away")
     values = values.astype(np.float64, copy=False)
     if not np.isfinite(values).all():
         bad = ~np.isfinite(values).all(axis=1)

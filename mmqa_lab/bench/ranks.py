@@ -268,7 +268,7 @@ def _by_method(results, name):
     """Values of a variable by method, all in the same order, and the case of each cell."""
     cells = cell_table(results)
     dims = [dim for dim in results.dims if dim not in ("method", "seed")]
-    cells["_case"] = cells.groupby(dims, sort=False).ngroup() if dims else 0
+    cells["_case"] = cells.groupby(dims, sort=False, dropna=False).ngroup() if dims else 0
     parts = dict(list(cells.groupby("method", sort=False)))
     values = {method: part[name].to_numpy(float) for method, part in parts.items()}
     return values, next(iter(parts.values()))["_case"].to_numpy()

@@ -34,7 +34,8 @@ def doubts(quality):
     moved = pairs.loc[moved & (pairs["contrast"].abs() > 0.1), "name"]
     # blurred pairs are half white, half black in linear light; a display's curve adds 0.2
     around = (quality.layout[name] for name in pairs["name"])
-    free = ~np.array([is_crossed(quality.tones, one, quality.chart_map) for one in around])
+    crossed = [is_crossed(quality.tones, one, quality.chart_map) for one in around]
+    free = ~np.array(crossed, dtype=bool)
     blurred = pairs["contrast"].between(0.02, 0.7) & (pairs["reason"] != HIDDEN) & free
     tone = pairs.loc[blurred, "mean"].median()
     unread = [one for one in "hv" if np.isnan(quality.resolution(one).width_mm)]

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_values
+from mmqa_lab._checks import check_columns, check_values, refuse
 from mmqa_lab._results import Shown, sentences
 from mmqa_lab.chart_image.maps import ChartMap
 from mmqa_lab.chart_image.tones import Tones
@@ -174,6 +174,9 @@ def resolution(readings: pd.DataFrame, direction: str) -> Resolution:
     >>> resolution(pd.DataFrame(rows, columns=names), "v").width_mm  # 5 mm does not count
     20.0
     """
+    check_columns(readings, ("direction", "width_mm", "resolved"), "readings")
+    odd = ~readings["resolved"].isin([True, False])
+    refuse(odd.any(), "readings", "resolved is neither", "True or False")
     ladder = readings[readings["direction"] == direction].sort_values("width_mm", ascending=False)
     if "reason" in ladder:
         ladder = ladder[ladder["resolved"].astype(bool) | (ladder["reason"] != HIDDEN)]

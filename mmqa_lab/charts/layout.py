@@ -81,6 +81,8 @@ class Layout(Rectangle):
         check_positive(self.width, "chart width", unit="mm")
         check_positive(self.height, "chart height", unit="mm")
         object.__setattr__(self, "elements", tuple(self.elements))
+        odd = [type(one).__name__ for one in self.elements if not hasattr(one, "corners")]
+        refuse(odd, f"elements of chart {self.name!r}", f"{odd} among them", "elements")
         repeats = len(self._by_name) < len(self.elements)
         refuse(repeats, f"chart {self.name!r}", "a name repeats", "distinct")
         for element in self.elements:
@@ -274,7 +276,7 @@ def _check_element(element):
         name = f"target {element.name!r}"
         book = getattr(cv2.aruco, check_known(element.dictionary, f"dictionary of {name}", BOOKS))
         most = len(cv2.aruco.getPredefinedDictionary(book).bytesList) - 1
-        check_number(check_count(element.identifier, f"number of {name}", low=0), name, high=most)
+        check_number(check_count(element.identifier, name, low=0), name, low=0, high=most)
     for side in ("width", "height"):
         check_positive(getattr(element, side), f"{side} of element {element.name!r}", unit="mm")
     for name in ("tone", "ground"):

@@ -9,7 +9,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_count, check_image, check_number, check_positive, refuse
+from mmqa_lab._checks import (
+    check_columns,
+    check_count,
+    check_image,
+    check_number,
+    check_positive,
+    refuse,
+)
 from mmqa_lab.chart_image import ChartMap, Tones, read_pattern, resolution
 from mmqa_lab.charts import LinePairs
 
@@ -84,7 +91,8 @@ def haar_sharpness(
         - 3 * noise
         for details in (fine, coarse)
     )
-    clear = below > 4 * max(noise, 1e-12) * len(fine)
+    rounding = (1e-12 * np.abs(grey).max()) ** 2
+    clear = below > 4 * max(noise, rounding) * len(fine)
     ratio = np.sqrt(np.maximum(above, 0) / np.where(clear, below, np.nan))
     centres = {"y_px": (np.arange(rows) + 0.5) * side, "x_px": (np.arange(columns) + 0.5) * side}
     about = {"noise_std": noise_std, "not_measurable": int((~clear).sum())}
@@ -169,6 +177,7 @@ def resolving_power(readings: pd.DataFrame) -> tuple[float, float]:
     >>> resolving_power(ladder)
     (4.0, 3.0)
     """
+    check_columns(readings, ("period_px", "resolved"), "readings")
     ladder = readings[["period_px", "resolved"]].rename(columns={"period_px": "width_mm"})
     found = resolution(ladder.assign(direction="h"), "h")
     return found.width_mm, found.next_mm

@@ -91,7 +91,7 @@ class BlockAdjustment(Shown):
         """Return the gains, one row an image."""
         return self.gains.copy()
 
-    def correct(self, observations: pd.DataFrame, *, to_nadir: bool = True) -> pd.DataFrame:
+    def correct(self, observations: pd.DataFrame, *, to_nadir: bool = True) -> np.ndarray:
         """Return the reflectance (relative without control) of each observation.
 
         Parameters
@@ -190,6 +190,7 @@ def adjust_block(
     haze = haze or (0.0, 0.0 if control is None else np.inf)
     block = Block(observations)
     priors = ((0.0, np.inf), (0.0, np.inf if anisotropy else 0.0), radial, haze)
+    refuse(np.isnan(priors).any(), "prior", f"radial {radial}, haze {haze}", "numbers")
     value, std = block.priors(priors, control)
     free, images = std > 0, len(block.images)
     with np.errstate(divide="ignore"):

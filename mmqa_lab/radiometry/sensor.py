@@ -23,6 +23,7 @@ from mmqa_lab._checks import (
     check_image,
     check_positive,
     check_together,
+    check_values,
     needs,
     real_array,
     refuse,
@@ -95,7 +96,7 @@ class SensorFit(Shown):
         """Degrees of freedom: targets less the coefficients that were fitted."""
         return self.n - 1 - int(self.std[1] > 0)
 
-    def radiance(self, dn: ArrayLike, *, exposure: ArrayLike = 1.0) -> np.ndarray:
+    def radiance(self, dn: ArrayLike, *, exposure: float = 1.0) -> np.ndarray:
         """Radiance of digital numbers taken at an exposure relative to the calibration's."""
         exposure = check_positive(exposure, "exposure")
         return (np.asarray(dn, dtype=np.float64) - self.offset) / (self.gain * exposure)
@@ -259,9 +260,9 @@ def fit_sensor(
     if not (np.isfinite(signal).all() and np.isfinite(dn).all() and (std > 0).all()):
         raise ValueError("Invalid targets. Must be finite, their standard deviations > 0 DN.")
     used = dn + 3 * (0 if std_dn is None else std) < full_scale
-    few = used.sum() < 3 or np.ptp(signal[used]) == 0
+    few = used.sum() < 3 or np.ptp(signal[used]) == 0 or np.ptp(dn[used]) == 0
     found = f"{used.sum()} unsaturated of {len(dn)}"
-    refuse(few, "targets", found, "three or more, of different radiance")
+    refuse(few, "targets", found, "three or more, of different radiance and DN")
     terms = 1 if through_zero else 2
     design = np.stack([signal, np.ones_like(signal)], axis=1)[:, :terms]
     fit = models.WLS(dn[used], design[used], weights=std[used] ** -2).fit()
@@ -337,7 +338,7 @@ def stability(fits: dict[str, SensorFit], radiance: ArrayLike) -> pd.DataFrame:
     Name: difference_percent, dtype: float64
     """
     check_count(len(fits), "number of settings", low=2)
-    known, rows = np.asarray(radiance, dtype=np.float64), []
+    known, rows = check_values(radiance, "radiance", positive=True), []
     for (name, fit), (other, second) in permutations(fits.items(), 2):
         found = second.radiance(fit.offset + fit.gain * known)
         rows.append((name, other, 100 * np.abs(found / known - 1).mean()))

@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from mmqa_lab._checks import check_choice, check_columns, check_number, refuse
+from mmqa_lab._checks import check_choice, check_columns, check_number, real_array, refuse
 from mmqa_lab._results import NORMAL
 from mmqa_lab.spacing import exempt
 from mmqa_lab.tender.tables import (
@@ -68,6 +68,7 @@ def verdict(
     """
     holds = RELATIONS[check_choice(relation, "relation", tuple(RELATIONS))]
     check_number(threshold, "threshold")
+    value, low, high = real_array([value, low, high], "figure").tolist()
     beyond = low > value or value > high or low > high
     refuse(beyond, f"figure {value:g}", f"low {low:g}, high {high:g}", "between them")
     bare = np.isfinite([low, high]).all() and high - low <= NO_WIDTH * abs(value)

@@ -6,7 +6,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_points, check_positive, check_row, check_together, refuse
+from mmqa_lab._checks import (
+    check_number,
+    check_points,
+    check_positive,
+    check_row,
+    check_together,
+    refuse,
+)
 from mmqa_lab.stats import errors, mean_reach, student_reach
 
 __all__ = ["GROSS", "LEAST_GROSS_M", "figures", "mean_ends", "split_drives", "thinned", "trend"]
@@ -38,6 +45,7 @@ def split_drives(gps_time: ArrayLike, *, gap_s: float = 3600.0) -> np.ndarray:
     """
     time = check_row(gps_time, "gps_time")
     order = np.argsort(time, kind="stable")
+    gap_s = check_number(gap_s, "gap_s", low=0, unit="s")
     number = np.cumsum(np.diff(time[order], prepend=time[order[0]]) > gap_s)
     return number[np.argsort(order)]
 

@@ -194,7 +194,7 @@ def height_accuracy(table: pd.DataFrame) -> pd.DataFrame:
     [21.6, 8.16]
     """
     check_columns(table, ("dz_m", "reason"), "table")
-    used = table[table["reason"] == ""]
+    used = table[table["reason"].fillna("") == ""]
     dz = 1000 * used["dz_m"]
     block = np.arange(len(used))
     if {"x_m", "y_m"} <= set(used) and len(used):
@@ -221,10 +221,10 @@ def _surfaces(points, targets, radius):
     pairs = cKDTree(points[:, :2]).sparse_distance_matrix(places, radius, output_type="ndarray")
     counts = np.bincount(pairs["j"], minlength=len(targets))
     slope = _slopes(points[pairs["i"]] - targets[pairs["j"]], pairs["j"], len(targets))
-    centre = targets[:, :2].mean(axis=0)
+    centre = targets[:, :2].mean(axis=0).round()
     points = points[np.lexsort(points.T)]  # of four on a circle the order of rows decides
     try:
-        mesh = Delaunay(points[:, :2] - centre)
+        mesh = Delaunay(np.round(points[:, :2] - centre, 6))  # and rounding far from the origin
     except (QhullError, ValueError):  # all on one line, or none
         return height, slope, counts
     with threadpool_limits(1):  # a small system for every triangle, which threads make slow

@@ -113,7 +113,10 @@ def plan_differences(
     for number, target in enumerate(targets.to_dict("records")):
         kind = check_choice(target.get("kind", "pole"), "kind", slices)
         place = np.array([target["x_m"], target["y_m"]]) - origin
-        refuse(not len(slices[kind]), f"slices of {kind!r}", "none", "one or more")
+        pairs = len(slices[kind]) and all(np.shape(one) == (2,) for one in slices[kind])
+        refuse(
+            not pairs, f"slices of {kind!r}", slices[kind] or "none", "one or more, low and high"
+        )
         reach = POLE_SEARCH_M if kind == "pole" else CORNER_SEARCH_M
         near = np.array(tree.query_ball_point(place, reach), dtype=int)
         above = points[near, 2] - target["z_m"]
@@ -162,7 +165,7 @@ def plan_accuracy(table: pd.DataFrame) -> pd.DataFrame:
     [50.0, 0.0]
     """
     check_columns(table, ("dx_m", "dy_m", "reason"), "table")
-    used = table[table["reason"] == ""]
+    used = table[table["reason"].fillna("") == ""]
     target = np.arange(len(used))
     if {"x_m", "y_m"} <= set(used):
         target = used.groupby(["x_m", "y_m"]).ngroup().to_numpy()

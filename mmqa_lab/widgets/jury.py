@@ -67,6 +67,7 @@ class JuryForm:
     def __init__(self, crops: Mapping[str, Any], *, juror: str, file: str | os.PathLike):
         self._juror, self._file, self._crops = juror.strip(), Path(file), dict(crops)
         odd = [name for name in crops if not isinstance(name, str) or not name.strip()]
+        refuse(not self._juror, "juror", repr(juror), "a name")
         refuse(odd, "name of a crop", repr(odd[0]) if odd else "", "a text that is not empty")
         self._picture = ipywidgets.Image(format="png", layout={"object_fit": "none"})
         self._line = ipywidgets.Label()

@@ -1,10 +1,10 @@
 """Single changes of operators and numbers, drawn over all rooms: how many do the tests see?
 
 ``python tests/benchmarks/random_changes.py FOLDER`` works in a copy of the repository there. It
-notes once which functions each quick test runs (``seen.json``). Then it plants one change after the
-other and runs the tests of its function, the quickest first, until one fails. ``changes.csv`` has
-a row for each; a run that was stopped goes on behind the last. What draws, speaks, checks or is a
-default is left out. ``--rooms`` and ``--tests`` take some rooms, and some files of tests.
+plants one change after the other and runs the tests that name its function until one fails that
+passes without the change. ``changes.csv`` has a row for each; a run that was stopped goes on behind
+the last.
+What draws, speaks, checks or is a default is left out. ``--rooms`` takes some rooms.
 ``EQUIVALENT`` has changes that change no answer, each with its reason.
 """
 
@@ -14,9 +14,9 @@ import contextlib
 import copy
 import csv
 import importlib
-import json
 import os
 import random
+import re
 import resource
 import signal
 import sys
@@ -24,6 +24,7 @@ import time
 from pathlib import Path
 
 import pandas as pd
+import pytest
 from mutations import copied
 
 DRAWN = ("plots", "views", "widgets", "run", "commands")
@@ -31,13 +32,13 @@ SPOKEN_BY = {"refuse", "warn", "sentences", "ValueError", "TypeError", "OSError"
 UNASKED = ("test_browser", "test_studies", "test_students", "test_stored", "test_notebooks")
 UNASKED += ("test_types", "test_house", "test_fuzz", "test_faults", "test_run", "test_view")
 UNASKED += ("test_widgets", "test_study_poles", "test_commands", "test_chart_photographs")
-UNASKED += ("test_chart_image_files", "test_coverage_of_intervals")
-LONGEST_S, WHOLE_S = 3, 30  # of a test that is asked, and of all that a change may take
+UNASKED += ("test_chart_image_files", "test_coverage_of_intervals", "test_silent_images")
+LONGEST_S, WHOLE_S = 4, 40  # of a test that is asked, and of all that a change may take
 COMPARED = {ast.Lt: ast.GtE, ast.LtE: ast.Gt, ast.Gt: ast.LtE, ast.GtE: ast.Lt}
 COMPARED |= {ast.Eq: ast.NotEq, ast.NotEq: ast.Eq}
 COUNTED = {ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult}
 JOINED = {ast.And: ast.Or, ast.Or: ast.And}
-COLUMNS = ["file", "line", "function", "old", "new", "result", "tests", "seconds"]
+COLUMNS = ["file", "line", "function", "old", "new", "result", "by", "seconds"]
 EQUIVALENT = {
     ("planes.py", "fit_circle", "a**2 / 4", "(a ** 2 * 4)"): "where a search begins",
     ("spacing/_search.py", "_select", "0", "(1)"): "another first pivot, the same order",
@@ -80,89 +81,89 @@ def _working(node, function):
             yield from _working(child, inner or function)
 
 
-class Seen:
-    """Which functions each test that passes runs, and how long it takes."""
+def late(*_):
+    """Leave out a test that takes too long."""
+    raise pytest.skip.Exception("too long")
 
-    def __init__(self, tree):
-        self.tree, self.tests = str(tree / "mmqa_lab"), {}
 
-    def pytest_runtest_protocol(self, item, nextitem):
-        """Note what is called from here on; what takes too long is ended."""
-        self.functions, self.start, self.passed = set(), time.process_time(), True
-        signal.setitimer(signal.ITIMER_PROF, LONGEST_S + 1)
-        sys.setprofile(self.called)
+class Timed:
+    """Tests end after a while, and the first that fails is named."""
 
-    def called(self, frame, event, _):
-        """Keep a function of the package by its file and name."""
-        code = frame.f_code
-        if event == "call" and code.co_filename.startswith(self.tree):
-            file = code.co_filename[len(self.tree) + 1 :]
-            self.functions.add(f"{file}:{code.co_qualname.replace('.<locals>', '')}")
+    def __init__(self, file):
+        self.file = file
+
+    def pytest_runtest_protocol(self, item):
+        """Begin to count the processor time of a test."""
+        signal.signal(signal.SIGPROF, late)
+        signal.setitimer(signal.ITIMER_PROF, LONGEST_S)
 
     def pytest_runtest_logreport(self, report):
-        """A test whose parts have all passed is kept."""
-        self.passed &= report.passed
+        """Note what fails."""
+        if report.failed:
+            self.file.write_text(report.nodeid)
         if report.when == "teardown":
-            sys.setprofile(None)
             signal.setitimer(signal.ITIMER_PROF, 0)
-            seconds = time.process_time() - self.start
-            if self.passed and seconds < LONGEST_S:
-                self.tests[report.nodeid] = [round(seconds, 2), sorted(self.functions)]
 
 
-def late(*_):
-    """End a test that takes too long."""
-    raise TimeoutError("too long")
+def failed(tree, tests):
+    """The first of the tests that fails on the copy, empty where none does.
 
-
-def in_child(tree, arguments, plugin=None):
-    """The code with which pytest ends on the copy, in a process of its own; below 0 if it is ended.
-
-    Libraries are loaded here once; the package is loaded by each child.
+    They run in a process of its own, so libraries are loaded once; the package is loaded anew.
     """
-    child = os.fork()
-    if child == 0:
-        if not plugin:
-            resource.setrlimit(resource.RLIMIT_CPU, (WHOLE_S, WHOLE_S))
+    told = tree / "failed.txt"
+    told.write_text("")
+    child = os.fork() if tests else 0
+    if tests and child == 0:
+        resource.setrlimit(resource.RLIMIT_CPU, (WHOLE_S, WHOLE_S))
         os.chdir(tree)
         sys.path[:0] = [str(tree), str(tree / "tests")]
-        sys.dont_write_bytecode = plugin is None
+        sys.dont_write_bytecode = True
         sys.stdout.flush()
         os.dup2(os.open(tree / "said.txt", os.O_WRONLY | os.O_CREAT | os.O_TRUNC), 1)
         os.dup2(1, 2)
-        import pytest
-
-        signal.signal(signal.SIGPROF, late)
-        quiet = ["-q", "-x", "-p", "no:cacheprovider", "-p", "no:xdist", "--durations=0"]
-        quiet = [*quiet[:1], *quiet[1 + (plugin is not None) :], "--rootdir", str(tree)]
-        os._exit(int(pytest.main([*quiet, *arguments], [plugin] if plugin else [])))
-    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-
-
-class Kept(Seen):
-    """Seen, written into the folder when all is done."""
-
-    def pytest_sessionfinish(self, session):
-        """Write what each test runs."""
-        (Path(self.tree).parent / "seen.json").write_text(json.dumps(self.tests))
+        quiet = ["-q", "-x", "-p", "no:cacheprovider", "-p", "no:xdist", "-p", "no:randomly"]
+        code = pytest.main([*quiet, "--rootdir", str(tree), *tests], [Timed(told)])
+        if code not in (0, 1, 5) and not told.read_text():  # it cannot even be imported
+            told.write_text("\n".join(tests))
+        os._exit(0)
+    if tests:
+        os.waitpid(child, 0)
+    return told.read_text()
 
 
-def asked(seen, file, function):
-    """The tests of a function, the quickest first, within the time; then its files' others."""
-    name = f"{file}:{function}"
-    direct = [(s, test) for test, (s, names) in seen.items() if name in names]
-    if not direct:  # a compiled function is not seen: all that runs its file
-        inside = [(s, t, [one.startswith(f"{file}:") for one in n]) for t, (s, n) in seen.items()]
-        direct = [(s, test) for s, test, runs in inside if any(runs)]
-    files = {test.split("::")[0] for _, test in direct} | {f"mmqa_lab/{file}"}
-    chosen = {test for _, test in direct}
-    others = [(s, t) for t, (s, _) in seen.items() if t not in chosen and t.split("::")[0] in files]
-    total, tests = 0.0, []
-    for seconds, test in sorted(direct) + sorted(others):
-        total += seconds
-        if total < WHOLE_S / 2:
-            tests.append(test)
-    return tests
+def own_files(tree, room):
+    """The test files of a room: those with its name, and those without a room's that import it."""
+    rooms = {path.name.split(".")[0] for path in (tree / "mmqa_lab").iterdir()} - {"__init__"}
+    stem = {"studies": "study"}.get(room, room.strip("_"))
+    for file in sorted((tree / "tests").glob("test_*.py")):
+        text, named = file.read_text("utf-8"), any(f"test_{one}" in file.name for one in rooms)
+        uses = re.search(rf"mmqa_lab\.{room}\b|from mmqa_lab import [^\n]*\b{room}\b", text)
+        own = file.name.startswith(f"test_{stem}") or (not named and uses and "study" not in stem)
+        if own and not file.name.startswith(UNASKED):
+            yield file, text
+
+
+def asked(tree, room, file, function):
+    """The tests that name a function, or for a private one what its file offers: quick ones first.
+
+    The examples of the file, the table of kinds, tests with the names, then the rest of a test
+    file that has one of them.
+    """
+    source = (tree / "mmqa_lab" / file).read_text("utf-8")
+    words = [one for one in function.split(".") if one and one[0] != "_"]
+    words = words or re.findall(r"^(?:def|class) ([a-zA-Z]\w*)", source, re.MULTILINE)
+    words = words or [room]
+    naming, kinds = re.compile(rf"\b({'|'.join(words)})\b"), tree / "tests/test_kinds.py"
+    rows = re.findall(rf'of\("{room}", "([\w:]+)"', kinds.read_text("utf-8"))
+    named = [f"tests/test_kinds.py::test_kinds[{room}.{one}]" for one in rows if naming.search(one)]
+    rest = []
+    for path, text in own_files(tree, room):
+        for node in ast.parse(text).body:
+            if isinstance(node, ast.FunctionDef) and node.name.startswith("test_"):
+                within = naming.search(ast.get_source_segment(text, node))
+                place = named if within else rest if naming.search(text) else []
+                place.append(f"tests/{path.name}::{node.name}")
+    return [f"mmqa_lab/{file}", *named, *rest]
 
 
 def planted(tree, file, node, new, number):
@@ -177,17 +178,12 @@ def planted(tree, file, node, new, number):
     return old[before:after].decode(), old
 
 
-def main(folder, count, seed, only, rooms=None, tests=("test_",)):
+def main(folder, count, seed, only, rooms=None):
     """Draw, plant, test, note."""
     tree = folder / "copy"
-    if not (tree / "seen.json").exists():
-        tree.mkdir(parents=True, exist_ok=True)
+    if not tree.exists():
+        tree.mkdir(parents=True)
         copied(tree)
-        files = sorted(p.name for p in (tree / "tests").glob("test_*.py"))
-        files = [name for name in files if name.startswith(tests) and not name.startswith(UNASKED)]
-        files = [f"tests/{name}" for name in files] + ["mmqa_lab"] * (tests == ("test_",))
-        print("tests on the copy as it is:", in_child(tree, files, Kept(tree)))
-    seen = json.loads((tree / "seen.json").read_text())
     files = [p.relative_to(tree / "mmqa_lab") for p in sorted((tree / "mmqa_lab").rglob("*.py"))]
     named = {str(one): one.parts[0].split(".")[0] for one in files}
     files = [one for one, room in named.items() if room not in DRAWN and room in (rooms or [room])]
@@ -200,23 +196,27 @@ def main(folder, count, seed, only, rooms=None, tests=("test_",)):
     else:
         drawn = list(enumerate(drawn))[len(rows) :]
     for number, (file, node, function, new) in drawn:
-        start, tests = time.time(), asked(seen, file, function.strip("."))
-        path = tree / "mmqa_lab" / file
-        stamp = path.stat()
-        old, text = planted(tree, file, node, new, number)
-        try:
-            code = in_child(tree, tests) if tests else 0
-        finally:
-            path.write_bytes(text)
-            os.utime(path, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
-        key = (file, function.strip("."), old, new)
-        word = "equivalent" if key in EQUIVALENT else "caught" if code else "passed"
-        row = [file, node.lineno, function.strip("."), old, new, word, len(tests)]
+        start, path = time.time(), tree / "mmqa_lab" / file
+        tests = asked(tree, named[str(file)], file, function.strip("."))
+        stamp, by = path.stat(), "none yet"
+        while by:
+            old, text = planted(tree, file, node, new, number)
+            try:
+                by = failed(tree, tests)
+            finally:
+                path.write_bytes(text)
+                os.utime(path, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
+            if by and not failed(tree, by.splitlines()):  # it passes on the copy as it is
+                break
+            tests = [one for one in tests if one not in (*by.splitlines(), by.split("[")[0])]
+        key = (str(file), function.strip("."), old, new)
+        word = "equivalent" if key in EQUIVALENT else "caught" if by else "passed"
+        row = [file, node.lineno, function.strip("."), old, new, word, by]
         row.append(round(time.time() - start, 1))
         new_file = not table.exists()
         with table.open("a", newline="") as out:
             csv.writer(out).writerows([COLUMNS][: int(new_file)] + [row])
-        print(number, *row, code, flush=True)
+        print(number, *row, flush=True)
 
 
 def report(table):
@@ -237,7 +237,6 @@ if __name__ == "__main__":
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", type=int, nargs="*", help="numbers of changes to test again")
     parser.add_argument("--rooms", nargs="*", help="names of rooms that are changed")
-    parser.add_argument("--tests", nargs="*", default=["test_"], help="how their files begin")
     parser.add_argument("--report", action="store_true", help="write the table of RESULTS.md")
     given = parser.parse_args()
     for name in ("pytest", "IPython", "nbformat", "xarray", "scipy.stats", "scipy.optimize",
@@ -248,5 +247,4 @@ if __name__ == "__main__":
     if given.report:
         report(given.folder / "changes.csv")
     else:
-        choices = given.only, given.rooms, tuple(given.tests)
-        main(given.folder.resolve(), given.count, given.seed, *choices)
+        main(given.folder.resolve(), given.count, given.seed, given.only, given.rooms)
