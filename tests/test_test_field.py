@@ -11,6 +11,7 @@ from scipy.stats import t
 from mmqa_lab import io
 from mmqa_lab.cloud import path_distance
 from mmqa_lab.test_field import (
+    compare_heights,
     height_accuracy,
     height_differences,
     plan_accuracy,
@@ -56,6 +57,15 @@ def test_heights_do_not_change_far_from_the_origin(ground):
     near = height_differences(grid, reference)
     far = height_differences(grid + FAR, reference + FAR)
     assert np.allclose(near["dz_m"], far["dz_m"], atol=1e-7)
+
+
+def test_a_reference_point_that_is_given_twice_counts_once(ground):
+    reference = np.array([[3.0, 4.0, 0.1], [5.5, 6.5, 0.2], [3.0, 4.0, 0.3]])
+    given = reference, reference[[0, 1, 2, 1]]
+    once, twice = (compare_heights(ground, rows)[0] for rows in given)
+    assert "1 reference points are given twice" in twice["remarks"][0]
+    columns = [name for name in once if name != "remarks"]
+    pd.testing.assert_frame_equal(once[columns], twice[columns])
 
 
 def test_reasons():

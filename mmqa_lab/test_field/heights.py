@@ -29,7 +29,7 @@ def compare_heights(
     Parameters
     ----------
     points, reference, radius
-        As of :func:`height_differences`.
+        As of :func:`height_differences`. A reference point that is given twice counts once.
 
     Returns
     -------
@@ -53,6 +53,9 @@ def compare_heights(
     >>> summary["mean_mm"].round(3).tolist(), summary["remarks"][0][:14]
     ([20.0, 0.0], '21 differences')
     """
+    reference = check_points(reference, name="reference points")
+    _, first = np.unique(reference, axis=0, return_index=True)
+    twice, reference = len(reference) - len(first), reference[np.sort(first)]
     table = height_differences(points, reference, radius=radius)
     valid = table.loc[table["reason"] == "", "dz_m"]
     if valid.empty:
@@ -68,6 +71,7 @@ def compare_heights(
             f"{apart} of {len(table)} reference points lie where the cloud has no surface: the "
             "units or the coordinate systems may differ.",
         ),
+        (twice, f"{twice} reference points are given twice and count once."),
         (len(valid) < 30, f"{len(valid)} differences; the ASPRS standards ask for 30 or more."),
         (
             abs(valid.median()) > 1,
