@@ -130,7 +130,7 @@ def _each(band, targets, _, *, fit):
         try:
             figures = fit(part, target)
         except ValueError as error:
-            figures = {"remark": str(error)}
+            figures = {"remarks": str(error)}
         yield {"target": target["name"]} | figures
 
 
@@ -140,7 +140,7 @@ def _edge(region, _):
     share = NORMAL * edge.mtf50_sigma / edge.mtf50
     figures = _interval("mtf50", "_per_px", edge.mtf50, share * edge.mtf50)
     figures |= _interval("fwhm", "_px", edge.fwhm_px, share * edge.fwhm_px)
-    return figures | {"angle_deg": edge.angle_deg, "n": edge.n, "remark": "; ".join(edge.remarks)}
+    return figures | {"angle_deg": edge.angle_deg, "n": edge.n, "remarks": "; ".join(edge.remarks)}
 
 
 def _star(band, target):
@@ -150,7 +150,7 @@ def _star(band, target):
     figures = _interval("mtf50", "_per_px", star.mtf50, NORMAL * star.mtf50_sigma)
     unseen = np.isnan(star.mtf50), "the star does not show the frequency of MTF50"
     remark = "; ".join([*star.remarks, *sentences(unseen)])
-    return figures | {"mtf10_per_px": star.at(0.1), "remark": remark}
+    return figures | {"mtf10_per_px": star.at(0.1), "remarks": remark}
 
 
 def _sharpness(band, *_):
@@ -162,7 +162,7 @@ def _sharpness(band, *_):
     missing = found.attrs["not_measurable"]
     remark = f"{missing} blocks without detail" if missing else ""
     figures = {"target": "image"} | _interval("sharpness", "", quartiles[1], reach)
-    return [figures | {"blocks": found["sharpness"].size, "remark": remark}]
+    return [figures | {"blocks": found["sharpness"].size, "remarks": remark}]
 
 
 def _patches(band, targets, name, number):
@@ -215,7 +215,7 @@ def _calibrated(band, targets, number):
     remarks = [*_said(used["name"], used["uneven"]), *_of_hot(used), *fit.remarks]
     remarks += sentences((changes, f"the light changes by {changes:.0%} along the targets"))
     remark = "; ".join(remarks)
-    return [figures | {"r_squared": fit.r_squared, "n": fit.n, "remark": remark}]
+    return [figures | {"r_squared": fit.r_squared, "n": fit.n, "remarks": remark}]
 
 
 def _of_hot(patches):
@@ -261,7 +261,7 @@ def _reflectances(band, targets, number):
         remarks = [*sentences((saturated, "saturated"), beyond), *line.remarks]
         remarks += [*_said(doubted["name"], doubted["uneven"]), *_of_hot(doubted)]
         figures = {"target": row.name} | _interval("reflectance", "", value, reach)
-        yield figures | {"references": line.n, "remark": "; ".join(remarks)}
+        yield figures | {"references": line.n, "remarks": "; ".join(remarks)}
 
 
 def _interval(name, unit, value, reach):

@@ -50,12 +50,12 @@ def test_exposures_and_anisotropy_are_read(rng):
 @pytest.mark.parametrize("measure", ["reflect", "calibrate"])
 def test_a_region_half_beside_its_tarp_is_said(measure, rng):
     image, table = tarps(rng)
-    assert "not even" not in image_targets.measure(image, measure, targets=table)["remark"].item()
+    assert "not even" not in image_targets.measure(image, measure, targets=table)["remarks"].item()
     for axis, turned in ((0, image), (1, image.transpose(0, 2, 1))):
         moved = table.assign(x_px=[0, 30, 40, 60])
         if axis:
             moved = moved.rename(columns={"x_px": "y_px", "y_px": "x_px"})
-        remark = image_targets.measure(turned, measure, targets=moved)["remark"].item()
+        remark = image_targets.measure(turned, measure, targets=moved)["remarks"].item()
         assert "b not even: half beside its target?" in remark
 
 
@@ -65,7 +65,7 @@ def test_a_target_that_fails_does_not_cost_the_others_their_rows(rng):
     table = pd.DataFrame({"x_px": [10, 90], "y_px": 0, "width_px": 60, "height_px": 60})
     found = image_targets.measure(image, "edge", targets=table)
     assert found["mtf50_per_px"].notna().tolist() == [True, False]
-    assert found["remark"].iloc[1].startswith("Invalid ")
+    assert found["remarks"].iloc[1].startswith("Invalid ")
 
 
 @pytest.mark.parametrize("bits", [8, 16])

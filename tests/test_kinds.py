@@ -10,8 +10,10 @@ import dataclasses
 import importlib
 import inspect
 import pkgutil
+import re
 import warnings
 from collections.abc import Mapping
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -753,3 +755,21 @@ def test_functions_that_take_a_seed_draw_uncorrelated_numbers_for_one_seed(monke
         begun.clear()
     alike = np.triu(np.abs(np.corrcoef([*drawn.values()])) > 0.1, 1)
     assert not [[[*drawn][k] for k in pair] for pair in np.argwhere(alike)]
+
+
+def test_doubts_of_results_are_remarks_and_nothing_else():
+    modules = [one.name for one in pkgutil.walk_packages(mmqa_lab.__path__, "mmqa_lab.")]
+    modules = [importlib.import_module(name) for name in modules if "__main__" not in name]
+    classes = {one for module in modules for one in vars(module).values() if inspect.isclass(one)}
+    ours = [one for one in classes if one.__module__.startswith("mmqa_lab.")]
+    for one in ours:
+        named = {**vars(one), **inspect.get_annotations(one)}
+        assert not {"remark", "doubt", "doubts", "warning", "warnings"} & {*named}, one
+        said = named.get("remarks", "tuple[str, ...]")
+        if isinstance(said, property):
+            said = inspect.signature(said.fget).return_annotation
+        assert said == "tuple[str, ...]", one
+    assert sum(hasattr(one, "remarks") or "remarks" in vars(one) for one in ours) >= 7
+    columns = {path.name for path in Path(mmqa_lab.__file__).parent.rglob("*.py")
+               if re.search(r'"remark": (?!"remarks")', path.read_text("utf-8"))}  # fmt: skip
+    assert not columns

@@ -376,7 +376,7 @@ def test_hot_pixels_and_light_along_a_row_of_targets(change, rng):
     table = pd.DataFrame({**places, "radiance": radiance})
     row = image_targets.measure(image[None], "calibrate", targets=table, linear=True).iloc[0]
     words = {"none": "^$", "hot": "odd pixels left out", "trend": r"the light changes by 1\d%"}
-    assert re.search(words[change], row["remark"])
+    assert re.search(words[change], row["remarks"])
     if change != "trend":
         assert row["gain_low"] - 0.02 < 20 < row["gain_high"] + 0.02
         assert row["gain"] == pytest.approx(20, rel=0.003)

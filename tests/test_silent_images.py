@@ -130,7 +130,7 @@ def target(what, column, *, dn=None, change=lambda image: image, **columns):
     def found(_):
         image, table = tarps(np.random.default_rng(0), *([dn] if dn else []))
         row = image_targets.measure(change(image), what, targets=table.assign(**columns)).iloc[0]
-        return row[column], row["remark"]
+        return row[column], row["remarks"]
 
     return found
 
@@ -146,7 +146,7 @@ def of_file(*, lzw, turn=0):
         table.to_csv(path / "targets.csv", index=False)
         files = [path / "a.tif"]
         row = commands.radiometry("reflect", files, targets=path / "targets.csv").iloc[0]
-        return row["reflectance"], row["remark"]
+        return row["reflectance"], row["remarks"]
 
     return found
 
@@ -181,7 +181,7 @@ def sixteen_bits(_):
     codes = np.round(charts.encode(edge_image, "srgb") * 65535).astype(np.uint16)
     table = pd.DataFrame({"x_px": [0], "y_px": 0, "width_px": 64, "height_px": 100})
     row = image_targets.measure(codes[None], "edge", targets=table).iloc[0]
-    return row["mtf50_per_px"] / true_mtf50(0.8, np.radians(5)), row["remark"]
+    return row["mtf50_per_px"] / true_mtf50(0.8, np.radians(5)), row["remarks"]
 
 
 def clipped_in_photograph(path):
