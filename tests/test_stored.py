@@ -70,12 +70,13 @@ def test_the_readme_advises_what_real_clouds_do_not_contradict(tmp_path):
     found["by_construction"] = ["e95", None, None, None, None]
     found["contradicted_by"] = ["none", "road", "none", "none", "none"]
     found["near_in"] = ["beams", "beams", "none", "beams", "beams"]
+    found["limits"] = "20, 35, nan"
     found[["limit", "balanced", "low", "high"]] = [30.0, 0.8, 0.7, 0.9]
     for _ in range(2):
         _renew_advice(tmp_path / "README.md", found)
     assert (tmp_path / "README.md").read_text().splitlines()[4:] == [
-        "| d | `e95` at most 30 mm | 0.80 (0.70 to 0.90) | beams |",
-        "| e | `density` at least 30 points/m2 | 0.80 (0.70 to 0.90) | beams |",
+        "| d | `e95` at most 30 mm | 0.80 (0.70 to 0.90) | 20, 35, nan |",
+        "| e | `density` at least 30 points/m2 | 0.80 (0.70 to 0.90) | 20, 35, nan |",
         "",
         "End.",
     ]

@@ -230,7 +230,8 @@ def advice(table, real):
     -------
     DataFrame
         The rows of ``pooled`` with ``worst``, how much the best of a group has more at most;
-        ``near_in``, the groups in which that is less than ``NEAR``; ``contradicted_by``.
+        ``near_in``, the groups in which that is less than ``NEAR``; ``limits``, the best limit
+        within each group, as text; ``contradicted_by``.
     """
     keys = ["task", "method"]
     whole = table["scanners"] == "pooled"
@@ -240,8 +241,12 @@ def advice(table, real):
     against = contradictions(real).groupby(keys)["data"].agg(["size", ", ".join])
     against.columns = ["sets", "contradicted_by"]
     found = pooled[pooled["behind"] < NEAR].join(worst, on=keys).join(against, on=keys)
-    found = found.join(close.rename("near_in"), on=keys)
-    nothing = {"worst": 1.0, "sets": 0, "contradicted_by": "none", "near_in": "none"}
+    within = groups.pivot(index=keys, columns="scanners", values="limit")
+    within = within[groups["scanners"].unique()].map("{:.2g}".format)
+    within = within.replace("nan", "none").agg(", ".join, axis=1)
+    found = found.join(close.rename("near_in"), on=keys).join(within.rename("limits"), on=keys)
+    nothing = dict.fromkeys(("contradicted_by", "near_in", "limits"), "none")
+    nothing |= {"worst": 1.0, "sets": 0}
     found = found.fillna(nothing).sort_values(["sets", "worst", "behind"], kind="stable")
     found = found.drop_duplicates("task").sort_index()
     return found.drop(columns=["scanners", "sets"]).reset_index(drop=True)

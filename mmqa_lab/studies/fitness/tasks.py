@@ -33,7 +33,7 @@ TASKS = {
     "alignment_mm": Task("alignment of two drives", 0.5, "noise_of_a_mean"),
     "crack_mm": Task("crack, 4 cm x 2 cm", 5),
     "pothole_percent": Task("volume of a pothole", 2),
-    "relief_percent": Task("relief of 5 to 20 cm", 100),
+    "relief_percent": Task("relief, waves of 5 to 20 cm", 100),
     "kerb_mm": Task("edge of a kerb of 15 mm", 15),
     "wire_m": Task("wire of 2 cm, gap", 0.15),
     "edge_missed_percent": Task("edge found", 0),
@@ -207,7 +207,10 @@ def pothole_percent(uv, z):
 
 
 def relief_percent(uv, noise, beam_m, seed):
-    """Return the error of waves of 5, 10 and 20 cm from the nearest points, percent."""
+    """Return the error of waves 5, 10 and 20 cm long from the nearest points, percent.
+
+    A flat plane would have 100.
+    """
     if not len(noise):
         return 100.0
     places = np.random.default_rng(seed).uniform(-0.3, 0.3, (1000, 2))
