@@ -219,7 +219,6 @@ TYPED = {
     "lhd20": "worked out by hand from the formula",
     "lhd38": "a limit that the cell sets",
     "pol26": "the report's corridor",
-    "pol29e": "of versions before, which no run of this one repeats",
     "resolution-05": "the frequency asked for",
     "resolution-27": "published",
     "cell-07": "a width that the cell sets",

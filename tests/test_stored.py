@@ -63,9 +63,7 @@ class Ran:
 
 
 def test_the_readme_advises_what_real_clouds_do_not_contradict(tmp_path):
-    (tmp_path / "README.md").write_text(
-        "Ask:\n\n| task | ask for |\n|---|---|\n| old | f |\n\nEnd.\n"
-    )
+    (tmp_path / "README.md").write_text("Ask:\n\n|task|ask for|\n|---|---|\n|old|f|\n\nEnd.\n")
     found = pd.DataFrame({"words": list("abcde"), "method": 4 * ["e95"] + ["density"]})
     found["by_construction"] = ["e95", None, None, None, None]
     found["contradicted_by"] = ["none", "road", "none", "none", "none"]
@@ -75,8 +73,8 @@ def test_the_readme_advises_what_real_clouds_do_not_contradict(tmp_path):
     for _ in range(2):
         _renew_advice(tmp_path / "README.md", found)
     assert (tmp_path / "README.md").read_text().splitlines()[4:] == [
-        "| d | `e95` at most 30 mm | 0.80 (0.70 to 0.90) | 20, 35, nan |",
-        "| e | `density` at least 30 points/m2 | 0.80 (0.70 to 0.90) | 20, 35, nan |",
+        "|d|`e95` at most 30 mm|0.80 (0.70 to 0.90)|20, 35, nan|",
+        "|e|`density` at least 30 points/m2|0.80 (0.70 to 0.90)|20, 35, nan|",
         "",
         "End.",
     ]
@@ -164,6 +162,15 @@ def test_the_readme_is_short_and_has_the_stored_answers():
     ]
     assert f"print {counts.sum()} results. Ours equal {counts['reproduced']} of" in text
     assert f"agree with {counts['consistent']} more; {counts['differs']} differ." in text
+    halves = pd.read_csv(notebooks_folder() / "paper/from_runs/fitness/halves.csv")
+    behind, n = (
+        halves.loc[halves["behind_low"] > 0, "method"].value_counts(),
+        halves["task"].nunique(),
+    )
+    line = (
+        f"worse than the best metric on {behind['f']} of {n} tasks, density on {behind['density']}."
+    )
+    assert line in " ".join(text.split())
     fitted = f"{counts['fitted']} served to fit a simulation, and {counts['not comparable']} cannot"
     assert fitted in text
     measured = (notebooks_folder().parent / "tests/benchmarks/RESULTS.md").read_text("utf-8")

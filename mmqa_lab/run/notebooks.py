@@ -209,16 +209,15 @@ def _renew_advice(readme, found):
     """
     known = found["by_construction"].isna() & (found["contradicted_by"] == "none")
     known &= (found["near_in"] != "none") & (found["low"] > LEAST_ADVISED)
-    head = "| task | ask for | balanced accuracy | limit for heads, beams, others |"
-    rows = [head, "|---|---|---|---|"]
+    rows = ["|task|ask for|balanced accuracy|limit for heads, beams, others|", "|---|---|---|---|"]
     for row in found[known].itertuples():
         one = METRICS[row.method]
         end = {"less": "at most", "more": "at least"}[one.better]
         limit = f"`{row.method}` {end} {row.limit:.2g} {one.unit}"
         score = f"{row.balanced:.2f} ({row.low:.2f} to {row.high:.2f})"
-        rows.append(f"| {row.words} | {limit} | {score} | {row.limits} |")
+        rows.append(f"|{row.words}|{limit}|{score}|{row.limits}|")
     text = readme.read_text(encoding="utf-8")
-    text = re.sub(r"\| task \| ask for(?:[^\n]+\n)+", "\n".join([*rows, ""]), text)
+    text = re.sub(r"\|task\|ask for(?:[^\n]+\n)+", "\n".join([*rows, ""]), text)
     write_atomically(readme, text)
 
 
