@@ -83,6 +83,12 @@ def table(function):
         print(as_json(frame) if json else as_text(frame))
         return frame.attrs.get("status", 0)
 
+    app.command(_with_shared(command, function), name=function.__name__.rstrip("_"))
+    return function
+
+
+def _with_shared(command, function):
+    """A command that shows the parameters of its function and the options of all tables."""
     only = inspect.Parameter.KEYWORD_ONLY
     shared = [
         inspect.Parameter(name, only, default=one, annotation=Annotated[kind, Parameter(help=text)])
@@ -90,12 +96,10 @@ def table(function):
     ]
     signature = inspect.signature(function)
     command.__signature__ = signature.replace(parameters=[*signature.parameters.values(), *shared])
-    command.__annotations__ = {one.name: one.annotation for one in shared} | dict(
-        function.__annotations__
-    )
+    annotations = {one.name: one.annotation for one in shared}
+    command.__annotations__ = annotations | function.__annotations__
     del command.__wrapped__
-    app.command(command, name=function.__name__.rstrip("_"))
-    return function
+    return command
 
 
 def heard(function, *arguments, **choices):
