@@ -205,7 +205,7 @@ FUNCTIONS = [
     (lambda: planes.sigma_mad([np.nan]), "Must be a row of finite numbers"),
     (lambda: lines.components(0 * EDGE, EDGE), "no length in row 0"),
     (lambda: lines.components(np.zeros((3, 5)), EDGE), "shape (3, 5)"),
-    (lambda: lines.components(np.float32(EDGE + [6e6, 0, 0]), EDGE), "float32 beyond"),
+    (lambda: lines.components(np.float32(EDGE + [6e6, 0, 0]), EDGE), "float32 in steps of 500 mm"),
     (lambda: lines.components(EDGE, EDGE, rotate="longer"), "Must be one of test, shorter"),
     (lambda: lines.components(EDGE, EDGE, within="touch"), "one of containment, overlap"),
     (lambda: lines.peak_threshold([-0.1, 0.2]), "Invalid nearest distances"),

@@ -51,9 +51,6 @@ def check_segments(segments: ArrayLike, name: str = "segments") -> np.ndarray:
     if values.ndim < 1 or (values.size and values.shape[1:] != (2, 3)):
         raise ValueError(f"Invalid {name} of shape {values.shape}. Must have shape (n, 2, 3).")
     ends = check_points(values.reshape(-1, 3), name=name, minimum=0).reshape(-1, 2, 3)
-    # beyond 100 km float32 represents coordinates to 8 mm at best (IEEE 754: 24 bits)
-    if values.dtype == np.float32 and np.abs(ends).max(initial=0) > 1e5:
-        raise ValueError(f"Invalid {name}: float32 beyond 100 km. Must be float64.")
     points = (ends[:, 0] == ends[:, 1]).all(axis=1)
     if points.any():
         row = int(points.argmax())
