@@ -19,7 +19,7 @@ def shipped_folder(name):
 
 
 def read_toml(path):
-    """The tables of a TOML file, with tuples in place of lists."""
+    """Return the tables of a TOML file, with tuples in place of lists."""
 
     def with_tuples(value):
         if isinstance(value, dict):

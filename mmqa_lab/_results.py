@@ -60,7 +60,7 @@ class Shown:
 
 
 def about(figure, value, std, unit):
-    """The row of ``intervals`` of a figure with normal errors."""
+    """Return the row of ``intervals`` of a figure with normal errors."""
     return figure, value, value - NORMAL * std, value + NORMAL * std, unit
 
 
@@ -87,7 +87,7 @@ def digits(value):
 
 
 def printed(frame, *, missing=""):
-    """A table with its numbers as text, as all pages, papers and terminals show it.
+    """Return a table with its numbers as text, as all pages, papers and terminals show it.
 
     Columns of coordinates in metres keep their millimetres, such in other units seven decimals.
 

@@ -152,7 +152,7 @@ def fit_plane(points: ArrayLike, *, robust: bool = False) -> Plane:
 
 
 def checked_plane(points, robust=False):
-    """The plane of points that are checked."""
+    """Return the plane of points that are checked."""
     origin, centre, (normal, _, first) = _principal_axes(points, robust)
     axes = np.array([first, np.cross(normal, first)])
     return Plane(origin + centre, normal, axes, (points - origin - centre) @ normal)
@@ -245,7 +245,7 @@ def fit_line(points: ArrayLike, *, robust: bool = False) -> Line:
 
 
 def sigma_mad(residuals: ArrayLike, scale: float = CONSISTENT_SCALE) -> float:
-    """Robust standard deviation: scale x median(|r - median r|).
+    """Return the robust standard deviation: scale x median(|r - median r|).
 
     Parameters
     ----------

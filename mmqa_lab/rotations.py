@@ -11,7 +11,7 @@ __all__ = ["across", "rotations", "turned"]
 
 
 def rotations(roll: ArrayLike, pitch: ArrayLike, heading: ArrayLike) -> np.ndarray:
-    """Rotations (..., 3, 3) from vehicle to track, Rz(-heading) Rx(pitch) Ry(roll), radians.
+    """Return rotations (..., 3, 3) from vehicle to track, Rz(-heading) Rx(pitch) Ry(roll), radians.
 
     Examples
     --------
@@ -30,7 +30,7 @@ def rotations(roll: ArrayLike, pitch: ArrayLike, heading: ArrayLike) -> np.ndarr
 
 
 def turned(*, z: ArrayLike = 0.0, x: ArrayLike = 0.0, y: ArrayLike = 0.0) -> np.ndarray:
-    """Rotations (..., 3, 3) Rz(z) Rx(x) Ry(y), degrees, counter-clockwise positive.
+    """Return rotations (..., 3, 3) Rz(z) Rx(x) Ry(y), degrees, counter-clockwise positive.
 
     Examples
     --------
@@ -41,7 +41,7 @@ def turned(*, z: ArrayLike = 0.0, x: ArrayLike = 0.0, y: ArrayLike = 0.0) -> np.
 
 
 def across(axes: np.ndarray) -> np.ndarray:
-    """Two perpendicular unit vectors across each of n unit vectors (n, 3), shape (n, 2, 3).
+    """Return two perpendicular unit vectors across each of n unit vectors (n, 3), shape (n, 2, 3).
 
     Examples
     --------

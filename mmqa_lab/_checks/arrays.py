@@ -95,7 +95,7 @@ def coordinate_columns(names: Iterable[str]) -> list[str]:
 
 
 def plain_name(name):
-    """A column's name without case and metres."""
+    """Return a column's name without case and metres."""
     return re.sub(r"(_m|[\[(]m[\])])$", "", str(name).lower().strip()).strip()
 
 

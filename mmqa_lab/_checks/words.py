@@ -64,7 +64,7 @@ def needs(extra, module):
 
 
 def listed(names):
-    """Names as part of a sentence; many of them are cut short.
+    """Return names as part of a sentence; many of them are cut short.
 
     Examples
     --------
@@ -184,7 +184,7 @@ def full_path(path):
 
 
 def is_file(path):
-    """Whether a file is there; a text that can be no path names none.
+    """Return whether a file is there; a text that can be no path names none.
 
     Examples
     --------

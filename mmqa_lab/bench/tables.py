@@ -26,7 +26,7 @@ RESERVED = ("method", "case", "seed", "failure", "truth")
 
 
 def dataset(cases, methods, seeds, records):
-    """The Dataset of the records of all cells, in the order of cases, methods and seeds."""
+    """Return the Dataset of the records of all cells, in the order of cases, methods and seeds."""
     columns = {name: _labels([case[name] for case in cases]) for name in cases[0]}
     codes, labels = _axes(columns, len(cases))
     truths, rows = [], []
@@ -206,6 +206,6 @@ def figure_names(results: xr.Dataset) -> tuple[str, ...]:
 
 
 def parameters_of(results):
-    """The parameters of the cases, as dimensions or as coordinates."""
+    """Return the parameters of the cases, as dimensions or as coordinates."""
     named = [name for name in results.coords if name not in RESERVED]
     return [name for name in named if results[name].ndim == 1]

@@ -108,7 +108,7 @@ class Adjustment:
 
 
 def stay_open(which):
-    """The error that names the parameters that the drives do not determine."""
+    """Return the error that names the parameters that the drives do not determine."""
     names = [f"{PARAMETERS[k % 6]} of head {k // 6 + 1}" for k in np.flatnonzero(which)]
     return ValueError(
         f"Invalid drives: {' with '.join(names)} stays open. Must run in both directions past "
@@ -221,7 +221,7 @@ class Shots:
         """The shots of a cloud; places count from the origin."""
         name = f"cloud {cloud.name or drive + 1}"
         if not len(cloud):
-            raise ValueError(f"Invalid {name}: no points. Must have some.")
+            raise ValueError(f"Invalid {name}: no points. Must have at least one.")
         head = cloud["head"] if "head" in cloud else np.zeros(len(cloud), dtype=int)
         wrong = (head < 0) | (head >= len(lever)) | (head % 1 != 0)
         if wrong.any():

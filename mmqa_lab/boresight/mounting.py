@@ -270,7 +270,7 @@ def _result(adjustment, values, lever, path_std_m, path_std_deg):
 
 
 def planes_in_common(placed, group, most, rng):
-    """Planes that two or more groups show in the same ball.
+    """Return planes that two or more groups show in the same ball.
 
     Cubes only give the centres of the balls. The points of a plane along the side of a cube would
     be selected by their noise.
@@ -316,7 +316,7 @@ def _shared(points, place, group):
 
 
 def points_at_control(placed, control):
-    """Points around control points, with the known heights."""
+    """Return points around control points, with the known heights."""
     gap, which = cKDTree(control[:, :2]).query(placed[:, :2], distance_upper_bound=CONTROL_M)
     index = np.flatnonzero(np.isfinite(gap))
     index = index[np.abs(placed[index, 2] - control[which[index], 2]) < CONTROL_M]

@@ -63,7 +63,7 @@ MOST_FITTED = 10_000
 
 
 def remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
-    """Remarks on figures that these points cannot give or give wrongly."""
+    """Return remarks on figures that these points cannot give or give wrongly."""
     d1_mm, d2_mm = 1000 * gaps.d[:2]
     away = np.hypot(*(gaps.xy - np.median(gaps.xy, axis=0)).T)
     far = away > FAR_QUANTILES * np.percentile(away, 90)
@@ -104,7 +104,7 @@ def remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
 
 
 def of_steps(step_mm, sigma_mm, d1_mm):
-    """Whether steps of coordinates decide figures, and the remark on them."""
+    """Return whether steps of coordinates decide figures, and the remark on them."""
     coarse = [f"sigma_MAD {sigma_mm:.3g} mm"] * int(step_mm > sigma_mm)
     coarse += [f"d1 {d1_mm:.3g} mm"] * int(is_coarse(d1_mm, step_mm))
     steps = f"Coordinates are in steps of {step_mm:.3g} mm: too coarse for {' and '.join(coarse)}."
@@ -112,20 +112,20 @@ def of_steps(step_mm, sigma_mm, d1_mm):
 
 
 def of_pairs(d1_mm, d2_mm):
-    """Whether points come in pairs, and the remark on them."""
+    """Return whether points come in pairs, and the remark on them."""
     said = "points come in pairs, as from two returns of a pulse or from a repeated scan; density "
     said += "and f count both."
     return d2_mm > PAIRS * d1_mm, lambda: f"d2 is {d2_mm / d1_mm:.0f} times d1: {said}"
 
 
 def of_copies(same, n):
-    """The remark on points in the place of another."""
+    """Return the remark on points in the place of another."""
     share = f"{same:.0f} points ({100 * same / n:.3g} %) share their place with another"
     return f"{share}: they raise the density."
 
 
 def remarks_on_surface(points, plane, xy, outline, has_polygon, step_mm, scale):
-    """Remarks on what lies empty, and on a surface that is no plane with noise alone."""
+    """Return remarks on what lies empty, and on a surface that is no plane with noise alone."""
     residuals_mm = 1000 * plane.residuals
     space = space_within(xy, outline, most=GAP_PLACES)
     block = block_numbers(np.concatenate([space.places, xy]))
@@ -195,7 +195,7 @@ def _uneven(block, places, area_m2):
 
 
 def is_by_chance(xy, axes):
-    """Whether the axes of the quadrants follow from points that spread alike everywhere."""
+    """Return whether the axes of the quadrants follow from points that spread alike everywhere."""
     narrow, wide = np.linalg.eigvalsh(np.cov(xy.T))
     return axes != "horizontal" and wide < ALIKE * narrow
 
@@ -247,7 +247,7 @@ def _layers(residuals_mm, step_mm):
 
 
 def part_off(points, scale, step_mm=0.0):
-    """The mask of the points that mislead the regression plane, and the plane of the others.
+    """Return the mask of the points that mislead the regression plane, and the plane of the others.
 
     The plane of most points is the robust one; without such points the plane is None. Within two
     steps of the coordinates no point stands off.

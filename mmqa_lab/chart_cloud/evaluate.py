@@ -259,7 +259,7 @@ def chart_polygon(
 
 
 def selected(points, polygon, thickness):
-    """The vertices of a polygon, the mask of its points, and its plane."""
+    """Return the vertices of a polygon, the mask of its points, and its plane."""
     thickness = check_positive(thickness, "thickness", unit="m")
     vertices = check_polygon(polygon)
     plane = checked_plane(vertices)
@@ -276,7 +276,7 @@ def selected(points, polygon, thickness):
 
 
 def outline_on(vertices, plane, normal):
-    """A polygon projected onto a plane along a direction, in plane coordinates."""
+    """Return a polygon projected onto a plane along a direction, in plane coordinates."""
     along = abs(normal @ plane.normal)
     turn = f"{np.degrees(np.arccos(min(along, 1))):.0f} degrees to the surface of its points"
     refuse(along < LEAST_ALONG, "polygon", turn, "along it, or 60 degrees off at most")

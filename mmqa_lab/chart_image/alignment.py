@@ -257,7 +257,7 @@ def _trusted(layout, pixel_mm, cell, shape):
 
 
 def with_bend(level, chart_map):
-    """A map with the cubic displacement that print and photograph show, if they show one.
+    """Return a map with the cubic displacement that print and photograph show, if they show one.
 
     Blocks of the chart ask for shifts (Lucas and Kanade); those that differ from the print,
     behind a post or at a shadow's edge, count little.
@@ -284,7 +284,7 @@ def with_bend(level, chart_map):
 
 
 def straight(chart_map, layout):
-    """A map without its bend where a homography does as well."""
+    """Return a map without its bend where a homography does as well."""
     flat, outline = plain(chart_map, layout), layout.corners()
     leaves = flat.outline(outline) - chart_map.outline(outline)
     return chart_map if np.linalg.norm(leaves, axis=1).max() > BEND_PX else flat

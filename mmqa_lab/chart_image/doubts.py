@@ -24,7 +24,7 @@ print. Contrast of a text that is seen; a part with that share of it is hidden."
 
 
 def doubts(quality):
-    """Reasons to doubt pixel sizes and widths of an ImageQuality, sentences."""
+    """Return reasons to doubt pixel sizes and widths of an ImageQuality, sentences."""
     clipped, residual = quality.tones.clipped_share, quality.residual_px
     charts, pairs = quality.chart_map.charts, quality.pairs
     unseen = quality.sizes.loc[quality.sizes["pixel_mm"].isna(), "name"]
@@ -66,7 +66,7 @@ def _finer(quality, direction):
 
 
 def hidden_texts(tones: Tones, layout: Layout, chart_map: ChartMap) -> list[str]:
-    """Names of the texts of which a part does not look like the print, though the others do.
+    """Return names of the texts of which a part does not look like the print, though the others do.
 
     None, where the tones come without the print.
     """

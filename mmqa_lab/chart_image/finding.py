@@ -225,7 +225,7 @@ def _stretched(image):
 
 
 def by_bars(grey, layout, smaller):
-    """The map of the likeliest chart by its long bars, or None."""
+    """Return the map of the likeliest chart by its long bars, or None."""
     bars = [bar for bar in layout.of_kind(Bar) if max(bar.width, bar.height) >= 400]
     found = []
     # sizes of the image, from the likeliest on
@@ -346,7 +346,7 @@ def _axis(bar):
 
 
 def decoded(grey, markers, smaller):
-    """Numbers and corners of the coded targets that are seen in an image made smaller."""
+    """Return numbers and corners of the coded targets that are seen in an image made smaller."""
     dictionaries = sorted({one.dictionary for one in markers.values()})
     settings = cv2.aruco.DetectorParameters()
     settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_CONTOUR

@@ -274,20 +274,20 @@ class Bend:
 
 
 def four_corners(corners: ArrayLike, *, columns: int) -> np.ndarray:
-    """Four corners as an array, checked."""
+    """Return four corners as an array, checked."""
     corners = check_points(corners, name="corners", columns=columns, minimum=4)
     refuse(len(corners) != 4, "corners", f"{len(corners)} given", "four")
     return corners
 
 
 def mirrored(chart_map, layout):
-    """The map of the chart's mirror image at the same place."""
+    """Return the map of the chart's mirror image at the same place."""
     flip = np.array([[-1.0, 0, layout.width], [0, 1, 0], [0, 0, 1]])
     return replace(chart_map, matrix=chart_map.matrix @ flip, bend=None)
 
 
 def plain(chart_map, layout, **other):
-    """The homography nearest to a map, of the same camera or of another."""
+    """Return the homography nearest to a map, of the same camera or of another."""
     mesh = np.indices((5, 5)).reshape(2, -1).T / 4 * [layout.width, layout.height]
     known = {name: getattr(chart_map, name) for name in ("camera", "offset", "source")}
     plain = ChartMap.from_points(mesh, chart_map.pixels(mesh), **(known | other))
@@ -295,12 +295,12 @@ def plain(chart_map, layout, **other):
 
 
 def side(chart_map, layout):
-    """Length of a chart's longer side in the image, pixels."""
+    """Return the length of a chart's longer side in the image, pixels."""
     return np.ptp(chart_map.pixels(layout.corners()), axis=0).max()
 
 
 def unit(xy, size):
-    """Places as x and y from -1 to 1 over the chart."""
+    """Return places as x and y from -1 to 1 over the chart."""
     return np.clip(2 * np.asarray(xy, dtype=float) / size - 1, -1.5, 1.5).T
 
 

@@ -118,7 +118,7 @@ def _add_text(image, element, cell):
 
 
 def drawn(layout, form, metadata, notes=""):
-    """The chart in a file format, at true size."""
+    """Return the chart in a file format, at true size."""
     from matplotlib import style
     from matplotlib.backends.backend_pdf import PdfPages
     from matplotlib.figure import Figure

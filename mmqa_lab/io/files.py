@@ -301,7 +301,7 @@ def _letters(head):
 
 
 def form_of(path):
-    """Which reader of clouds a file belongs to by its first bytes; "" if they tell none."""
+    """Return which reader of clouds a file belongs to by its first bytes; "" if they tell none."""
     with Path(path).open("rb") as file:
         head = file.read(4096)
     return next((name for name, mark in BEGUN.items() if re.match(mark, head)), "")

@@ -83,7 +83,7 @@ PTX_ROW = re.compile(rb"[^\n]*\S[^\n]*(?:\n|$)")
 
 
 def ptx_pieces(path, scan=None):
-    """The scans of a PTX file, or the one of this number; numbers in a column ``scan``."""
+    """Return the scans of a PTX file, or the one of this number; numbers in a column ``scan``."""
     text, at, number = plain_text(path), 0, 0
     while text[at:].strip():
         head = PTX_HEAD.match(text, at)

@@ -166,7 +166,7 @@ def _plain_source(path):
 
 
 def las_pieces(path, chunk, columns):
-    """The pieces of a LAS or LAZ file."""
+    """Return the pieces of a LAS or LAZ file."""
     import laspy
 
     with path.open("rb") as file:

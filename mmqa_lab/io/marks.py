@@ -69,7 +69,7 @@ def marked(piece):
 
 
 def without_height(z):
-    """Whether heights stand for none, as -9999; -999, too, if no other is near it."""
+    """Return whether heights stand for none, as -9999; -999, too, if no other is near it."""
     near = (np.abs(z - NO_DATA[0]) < NEAR_M) & (z != NO_DATA[0])
     return np.isin(z, NO_DATA[int(near.any()) :])
 

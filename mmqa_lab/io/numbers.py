@@ -33,7 +33,7 @@ GAPS = re.compile(r"(?<=\d)[ '\u2019\u00a0\u202f](?=\d{3}(?!\d))")
 
 
 def parsed(table: pd.DataFrame, what: str, *, separator: str = ",") -> pd.DataFrame:
-    """A table of texts with numbers in the columns that hold nothing else.
+    """Return a table of texts with numbers in the columns that hold nothing else.
 
     Decimal commas or points, thousands between commas, points, blanks or apostrophes and percent
     (5% is 0.05) are told by all of the columns together: 3,250 beside 448000.257 is 3250, beside

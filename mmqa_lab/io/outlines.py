@@ -229,7 +229,7 @@ def _rings(shape):
 
 
 def plan_extent(source: str | os.PathLike, crs: object = None) -> np.ndarray:
-    """The least and the largest easting and northing of outlines in the cloud's system."""
+    """Return the least and the largest easting and northing of outlines in the cloud's system."""
     text = str(source)
     if ";" in text and not is_file(source):
         rings = [read_polygon(source)]

@@ -41,7 +41,7 @@ METRES = ("", "m", "metre", "meter", "metres", "meters")
 
 
 def is_raster(path: str | os.PathLike) -> bool:
-    """Whether a file begins or ends as rasters do."""
+    """Return whether a file begins or ends as rasters do."""
     return _driver(path) != "" or Path(path).suffix.lower() in TIFF_ENDINGS
 
 

@@ -14,7 +14,7 @@ USER_DEFINED = 32767
 
 
 def named_system(name, what):
-    """The coordinate system of this name or number; a sentence if it is not known."""
+    """Return the coordinate system of this name or number; a sentence if it is not known."""
     import pyproj
 
     try:
@@ -52,7 +52,7 @@ def system_of_keys(keys, crs, what):
 
 
 def las_system(header, path):
-    """The coordinate reference system that a LAS header names; None without one."""
+    """Return the coordinate reference system that a LAS header names; None without one."""
     found = [*header.vlrs.get_by_id("LASF_Projection")]
     found += [] if header.evlrs is None else header.evlrs.get_by_id("LASF_Projection")
     keys = {key.id: key.value_offset for one in found for key in getattr(one, "geo_keys", [])}

@@ -119,7 +119,7 @@ def text_table(path: str | os.PathLike, name: str, *, header: str = "") -> pd.Da
 
 
 def sheet_text(path, name):
-    """The text of a file of rows: of a workbook, the first sheet as CSV."""
+    """Return the text of a file of rows: of a workbook, the first sheet as CSV."""
     path = check_file(path, name)
     if path.suffix.lower() not in (".xlsx", ".xlsm"):
         return plain_text(path)
@@ -235,7 +235,7 @@ def _is_data(words):
 
 
 def text_places(path: str | os.PathLike, name: str, *, finite: bool = True) -> tuple:
-    """The coordinates (n, 3) of a text file, and its other columns {name: values}."""
+    """Return the coordinates (n, 3) of a text file, and its other columns {name: values}."""
     what, table = f"{name} {path}", text_table(path, name)
     names = coordinate_columns(table.columns)
     if len(names) < 3:

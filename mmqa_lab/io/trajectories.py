@@ -143,7 +143,7 @@ def read_trajectory(
 
 
 def path_table(path: str | os.PathLike) -> pd.DataFrame:
-    """The rows of a path as they stand in its file, with usual names."""
+    """Return the rows of a path as they stand in its file, with usual names."""
     file = check_file(path, "trajectory")
     if file.suffix.lower() in SBET_ENDINGS:
         return _sbet(file, f"trajectory {path}")

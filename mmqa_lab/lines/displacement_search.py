@@ -123,7 +123,7 @@ def _retraced(lines, search, path, turn):
 
 
 def together(places):
-    """Which places are not many times as far from the middle as most are."""
+    """Return which places are not many times as far from the middle as most are."""
     off = np.linalg.norm(places - np.median(places, axis=0), axis=1)
     return off <= 5 * np.median(off)
 
@@ -279,7 +279,7 @@ def _add_planes(votes, planes, moves, frame, half):
 
 
 def refined(lines, start):
-    """Evidence, pairs, and the ends' part of the evidence, from a start.
+    """Return the evidence, pairs, and the ends' part of the evidence, from a start.
 
     Pairs and displacement are updated in turns.
     """

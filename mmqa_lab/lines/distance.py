@@ -35,7 +35,7 @@ def lhd(
     pairs: ArrayLike | None = None,
     radius: float = 4.0,
 ) -> LHD:
-    """Line-segment Hausdorff distance between a test and a model set.
+    """Return the line-segment Hausdorff distance between a test and a model set.
 
     In each direction the threshold is at the jump of the sorted nearest distances. Segments within
     the threshold are paired. The directed distance is the mean over the pairs, weighted by the

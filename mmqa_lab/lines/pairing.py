@@ -51,7 +51,7 @@ def peak_threshold(
     at: str = "below",
     sort_again: bool = False,
 ) -> Threshold:
-    """Threshold at the first peak of the differences of the sorted nearest distances.
+    """Return the threshold at the first peak of the differences of the sorted nearest distances.
 
     The distances are sorted and differenced ``order`` times. The first maximum that stands out by
     ``sensitivity`` on both sides is the jump (beyond its end the curve counts as zero). The
@@ -372,5 +372,5 @@ def paired(test: np.ndarray, model: np.ndarray, rows: np.ndarray, columns: np.nd
 
 
 def levers(arm: np.ndarray) -> np.ndarray:
-    """Movement of places (m, 3) per radian of rotation about a vertical axis."""
+    """Return the movement of places (m, 3) per radian of rotation about a vertical axis."""
     return np.stack([-arm[:, 1], arm[:, 0], np.zeros(len(arm))], axis=1)

@@ -59,7 +59,7 @@ def check_segments(segments: ArrayLike, name: str = "segments") -> np.ndarray:
 
 
 def lengths(segments: ArrayLike) -> np.ndarray:
-    """Lengths of segments (n, 2, 3), shape (n,), m."""
+    """Return lengths of segments (n, 2, 3), shape (n,), m."""
     return np.linalg.norm(np.diff(check_segments(segments), axis=1)[:, 0], axis=1)
 
 
@@ -70,13 +70,13 @@ def directions(segments: ArrayLike) -> np.ndarray:
 
 
 def midpoints(segments: ArrayLike) -> np.ndarray:
-    """Midpoints of segments (n, 2, 3), shape (n, 3), m."""
+    """Return midpoints of segments (n, 2, 3), shape (n, 3), m."""
     segments = check_segments(segments)
     return segments[:, 0] + (segments[:, 1] - segments[:, 0]) / 2
 
 
 def from_common_origin(test: ArrayLike, model: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-    """Both sets, checked and shifted to a common origin, exact to 1e-9 m."""
+    """Return both sets, checked and shifted to a common origin, exact to 1e-9 m."""
     test, model = check_segments(test, "test"), check_segments(model, "model")
     origin = np.concatenate([model, test])[:1, 0]
     return (test, model) if not len(origin) else (test - origin, model - origin)
@@ -114,7 +114,7 @@ class Components:
 def components(
     test: ArrayLike, model: ArrayLike, *, rotate: str = "test", within: str = "containment"
 ) -> Components:
-    """Angle, parallel and perpendicular distances of every test to every model segment.
+    """Return the angle, parallel and perpendicular distances of every test to every model segment.
 
     Parameters
     ----------

@@ -131,7 +131,7 @@ def map_cloud(
 
 
 def chosen_metrics(metrics):
-    """The functions of a chart by their names."""
+    """Return the functions of a chart by their names."""
     if isinstance(metrics, Mapping):
         return dict(metrics)
     return {name: METRICS[check_known(name, "metric", METRICS)] for name in metrics}
@@ -148,7 +148,7 @@ def check_extent(points, cell, count):
 
 
 def evaluated_cells(points, index, inner, cell, radius, metrics):
-    """A row for each cell with points: its place, figures and metrics, (m, 2 + all of them).
+    """Return a row for each cell with points: its place, figures and metrics, (m, 2 + all of them).
 
     ``index`` has the points' cells. Points that are not ``inner`` only count as neighbours.
     """
@@ -214,7 +214,7 @@ def _coincident(xyz):
 
 
 def dataset_of(table, run):
-    """The Dataset of rows of :func:`evaluated_cells`."""
+    """Return the Dataset of rows of :func:`evaluated_cells`."""
     import xarray as xr
 
     cells, cell = table[:, :2].astype(np.int64), run["cell"]

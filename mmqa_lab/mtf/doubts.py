@@ -65,7 +65,7 @@ def check(fit):
 
 
 def remarks_on(fit, mtf50, sigma, turn, by_sigmoid):
-    """What is said about an edge, whose MTF50 has that standard deviation."""
+    """Return what is said about an edge, whose MTF50 has that standard deviation."""
     cut = [side for side, sign in (("white", 1), ("black", -1)) if clipped(fit, sign)]
     bent, second = bend(fit), max(second_step(fit, -1), second_step(fit, 1))
     alone = not cut and second <= OTHER_STEP
@@ -93,7 +93,7 @@ def remarks_on(fit, mtf50, sigma, turn, by_sigmoid):
 
 
 def strangeness(fit):
-    """Largest share of the step by which the binned profile leaves the sigmoid."""
+    """Return the largest share of the step by which the binned profile leaves the sigmoid."""
     _, means, count, _ = profile(fit.distance, fit.residuals)
     return float((np.abs(means) - 4 * fit.grain / np.sqrt(count)).max())
 
@@ -123,7 +123,7 @@ def bend(fit):
 
 
 def second_step(fit, side):
-    """Largest step on one side of the edge that stands out, over the edge's own.
+    """Return the largest step on one side of the edge that stands out, over the edge's own.
 
     The side's level, slope and the long tail of a lens, which falls with the inverse of the
     distance, are estimated with it.
@@ -192,7 +192,7 @@ def _shares(fit):
 
 
 def remarks_on_star(waves, clipped, harmonics, transfers, beyond):
-    """What is said about a star.
+    """Return what is said about a star.
 
     ``harmonics``: waves of twice and three times the cycles near the outline over the star's own;
     ``transfers``: what the lens leaves of them; ``beyond``: contrast above that of any lens.

@@ -237,7 +237,7 @@ class EdgeFit:
 
 
 def fit_line(image, shape):
-    """The line of an image's edge, its width, and the pixels beside it under even light.
+    """Return the line of an image's edge, its width, and the pixels beside it under even light.
 
     ``shape``: the sigmoid, a function of distance, width and angle.
     """

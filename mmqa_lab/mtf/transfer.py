@@ -135,7 +135,7 @@ def lens_mtf(transfer, width, frequencies):
 
 
 def profile(distance, values):
-    """Places, means and counts of the bins that have pixels, and the variance within bins.
+    """Return places, means and counts of the bins that have pixels, and the variance within bins.
 
     Pixels do not fill a bin evenly.
     """
@@ -149,7 +149,7 @@ def profile(distance, values):
 
 
 def by_bins(fit):
-    """MTF, line spread and the standard deviation of MTF50 from the pixels of an edge."""
+    """Return MTF, line spread and the standard deviation of MTF50 from the pixels of an edge."""
     place, seen, weight, part = _narrow_bins(fit)
     ends = float(place.min()), float(place.max())
     design, prior = _terms(place, fit, ends)
@@ -242,7 +242,7 @@ def _waves(frequencies, places):
 
 
 def full_width(places, lsf):
-    """Full width at half maximum, between straight lines."""
+    """Return the full width at half maximum, between straight lines."""
     top = int(lsf.argmax())
     left, right = (crossing(places[top::way], lsf[top::way], lsf[top] / 2) for way in (-1, 1))
     return right - left

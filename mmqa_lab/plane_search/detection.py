@@ -162,7 +162,7 @@ def detect_planes(
 
 
 def usual_size(points: np.ndarray) -> float:
-    """Extent of the smallest plane that points (n, 3) support, m."""
+    """Return the extent of the smallest plane that points (n, 3) support, m."""
     points = check_points(points, minimum=0)
     if not len(points):
         return USUAL_SIZES[1]

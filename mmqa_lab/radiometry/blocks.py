@@ -385,12 +385,12 @@ class Block:
 
 
 def view_terms(observations):
-    """Walthall's even and odd term of each observation, shape (n, 2)."""
+    """Return Walthall's even and odd term of each observation, shape (n, 2)."""
     return walthall_terms(observations["view_zenith_deg"], observations["azimuth_deg"])[:, :2]
 
 
 def sun_cosine(observations):
-    """Cosine of the sun's zenith angle."""
+    """Return the cosine of the sun's zenith angle."""
     cosine = np.cos(np.radians(observations["sun_zenith_deg"].to_numpy(dtype=np.float64)))
     if not (cosine > 0).all():
         raise ValueError("Invalid sun_zenith_deg. Must be below 90 degrees.")
@@ -398,7 +398,7 @@ def sun_cosine(observations):
 
 
 def surfaces_of(observations):
-    """Surface of each observation; a single surface if none is named."""
+    """Return the surface of each observation; a single surface if none is named."""
     return observations.get("surface", pd.Series(0, observations.index)).to_numpy()
 
 

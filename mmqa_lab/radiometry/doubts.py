@@ -79,19 +79,19 @@ def warn(block, estimate, value, std, share, adjusted_std):
 
 
 def misfit_scale(scaled):
-    """Robust standard deviation of the scaled misfit."""
+    """Return the robust standard deviation of the scaled misfit."""
     return max(median_abs_deviation(scaled, scale="normal"), 1e-6)
 
 
 def looseness(left, std, freedom):
-    """Residuals over their stated errors where that is more than chance, else 1."""
+    """Return residuals over their stated errors where that is more than chance, else 1."""
     square = float(np.sum(np.square(left / std)))
     loose = freedom > 0 and chi2.sf(square, freedom) < 0.01
     return np.sqrt(square / freedom) if loose else 1.0
 
 
 def odd_target(design, seen, std, *, stated):
-    """The target that leaves the line of all others by more than its error, or None.
+    """Return the target that leaves the line of all others by more than its error, or None.
 
     ``stated``: the standard deviations are known; else only their ratios, and the others tell.
     """
@@ -115,7 +115,7 @@ def odd_target(design, seen, std, *, stated):
 
 
 def unlikely_term(design, term, seen, std):
-    """What a term adds to a line where that is more than chance (1 %), else 0."""
+    """Return what a term adds to a line where that is more than chance (1 %), else 0."""
     both = np.column_stack([design, term]) / std[:, None]
     freedom = len(seen) - both.shape[1]
     if freedom < 2 or np.linalg.matrix_rank(both) < both.shape[1]:

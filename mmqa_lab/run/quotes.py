@@ -39,7 +39,7 @@ def as_latex(frame, name, kind):
 
 
 def escaped(text):
-    """A text for LaTeX: its signs are letters, symbols are in italics.
+    """Return a text for LaTeX: its signs are letters, symbols are in italics.
 
     >>> escaped("50 % of x_1 & more, f ≥ 2")
     '50 \\\\% of x\\\\_1 \\\\& more, $f$ $\\\\geq$ 2'
@@ -66,7 +66,7 @@ def _word(part):
 
 
 def values_tex(rows):
-    """Values as macros of LaTeX; ``rows`` have quoted, text, unit and kind."""
+    """Return values as macros of LaTeX; ``rows`` have quoted, text, unit and kind."""
     return "".join(
         f"\\newcommand{{\\{row['quoted']}}}{{{escaped(row['text'])}}} "
         f"% {row['unit']}, {row['kind']}\n"
@@ -75,7 +75,7 @@ def values_tex(rows):
 
 
 def values_typ(rows):
-    """Values as names of Typst; ``rows`` have quoted, text, unit and kind."""
+    """Return values as names of Typst; ``rows`` have quoted, text, unit and kind."""
     return "".join(
         f'#let {row["quoted"]} = [#"{row["text"].replace("-", "−")}"]'
         f" // {row['unit']}, {row['kind']}\n"

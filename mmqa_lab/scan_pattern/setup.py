@@ -170,5 +170,5 @@ TARGET_NAMES |= {name: name for name in ("range_m", "height_difference_m")}
 
 
 def dot(a, b):
-    """Inner products over the last axis."""
+    """Return the inner products over the last axis."""
     return np.sum(a * b, axis=-1)

@@ -128,7 +128,7 @@ def solved(products, sums):
 def solve_groups(
     terms: np.ndarray, values: np.ndarray, group: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Least squares of values (n,) on shared terms (n, k) and a constant per group (n,).
+    """Solve least squares of values (n,) on shared terms (n, k) and a constant per group (n,).
 
     A term without spread (distances from a plane without noise) gets the coefficient 0.
 
@@ -144,7 +144,7 @@ def solve_groups(
 
 
 def group_means(values: np.ndarray, group: np.ndarray) -> np.ndarray:
-    """Means over groups of values (n,) or of rows (n, k): shape (m,) or (m, k)."""
+    """Return means over groups of values (n,) or of rows (n, k): shape (m,) or (m, k)."""
     if values.ndim == 2:
         return np.stack([group_means(column, group) for column in values.T], axis=1)
     return np.bincount(group, values) / np.bincount(group)

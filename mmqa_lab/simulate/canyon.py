@@ -188,7 +188,7 @@ def canyon(
 
 
 def canyon_faces(scene: Canyon) -> tuple[np.ndarray, np.ndarray]:
-    """The plane faces of a canyon: fronts, pavements, eaves, and walls between houses.
+    """Return the plane faces of a canyon: fronts, pavements, eaves, and walls between houses.
 
     Parameters
     ----------
@@ -212,7 +212,7 @@ def canyon_faces(scene: Canyon) -> tuple[np.ndarray, np.ndarray]:
 
 
 def canyon_edges(scene: Canyon) -> np.ndarray:
-    """The edges where two faces of the canyon meet: feet, eaves and corners of the facades.
+    """Return the edges where two faces of the canyon meet: feet, eaves and corners of the facades.
 
     Returns
     -------
@@ -332,7 +332,7 @@ class Survey:
 
 
 def seen(n: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """Which edges each survey finds; prominent edges are found by all of them more often."""
+    """Return which edges each survey finds; prominent edges are found by all of them more often."""
     prominence = rng.uniform(0.25, 1.75, n)
     shared = rng.random(n) < SHARED_COURSE * prominence
     seen = {name: shared & (rng.random(n) < SHARED_SEEN) for name in ("C1", "C3")}
@@ -340,7 +340,7 @@ def seen(n: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
 
 
 def positionings(shared_m: tuple[float, float], rng: np.random.Generator) -> dict[str, Positioning]:
-    """The positioning error of each course; the static scanner has none."""
+    """Return the positioning error of each course; the static scanner has none."""
     nodes = int(STREETS["length_m"].max() / DRIFT_STEP_M) + 2
     length, towards = rng.uniform(*shared_m), _unit_vector(rng)
     errors = {}
@@ -369,7 +369,7 @@ def survey(
     angle_noise_deg: float,
     rng: np.random.Generator,
 ) -> Survey:
-    """What a survey makes of the edges ``rows``: pieces of them, displaced and noisy."""
+    """Return what a survey makes of the edges ``rows``: pieces of them, displaced and noisy."""
     vectors, sizes = ends[:, 1] - ends[:, 0], lengths(ends)
     pieces = [(row, *cut) for row in rows for cut in _pieces(sizes[row], rng)]
     edge = np.array([piece[0] for piece in pieces], dtype=int)

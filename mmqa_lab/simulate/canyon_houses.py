@@ -34,7 +34,7 @@ per building."""
 
 
 def houses(rng: np.random.Generator) -> pd.DataFrame:
-    """Facades side by side along both sides of each street, no two neighbours flush."""
+    """Return facades side by side along both sides of each street, no two neighbours flush."""
     rows = []
     for street, length in enumerate(STREETS["length_m"]):
         for side in (-1, 1):
@@ -93,7 +93,7 @@ def located(street: np.ndarray, places: np.ndarray) -> np.ndarray:
 
 
 def station_along(points: np.ndarray, street: np.ndarray) -> np.ndarray:
-    """Metres along the street of points (n, 3) of the streets (n,)."""
+    """Return metres along the street of points (n, 3) of the streets (n,)."""
     along_x = (STREETS["axis"] == "x").to_numpy()[street]
     origin = STREETS[["x_m", "y_m"]].to_numpy()[street]
     return np.where(along_x, points[:, 0] - origin[:, 0], points[:, 1] - origin[:, 1])

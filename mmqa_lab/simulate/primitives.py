@@ -87,7 +87,7 @@ def surface(
     half: ArrayLike,
     reflectance: float,
 ) -> Surface:
-    """A surface of primitives of one kind."""
+    """Return a surface of primitives of one kind."""
     check_number(reflectance, "reflectance", low=0, high=1)
     centre, shape, half = (np.atleast_2d(numbers) for numbers in (centre, shape, half))
     n = len(centre)
@@ -97,7 +97,7 @@ def surface(
 def discs(
     label: str, centres: ArrayLike, normals: np.ndarray, radius: float, reflectance: float
 ) -> Surface:
-    """A surface of discs."""
+    """Return a surface of discs."""
     check_positive(radius, "radius", unit="m")
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     dual = across(normals) / radius
@@ -107,12 +107,12 @@ def discs(
 
 
 def vector(values: ArrayLike, name: str) -> np.ndarray:
-    """Three finite numbers as float64."""
+    """Return three finite numbers as float64."""
     return check_points(np.atleast_2d(values), name=name)[0]
 
 
 def planar_shape(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Dual vectors and normal of the half sides ``u`` and ``v``."""
+    """Return the dual vectors and normal of the half sides ``u`` and ``v``."""
     normal = np.cross(u, v)
     area = np.linalg.norm(normal)
     if area <= 1e-12 * np.linalg.norm(u) * np.linalg.norm(v):

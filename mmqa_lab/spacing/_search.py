@@ -26,7 +26,7 @@ LEAF = 16
 
 
 def nearest_per_quadrant(xy, radius, of):
-    """Sorted distances to the nearest point in each quadrant, shape (n, 4), NaN last.
+    """Return the sorted distances to the nearest point in each quadrant, shape (n, 4), NaN last.
 
     Points (n, 2) and radius are in the same unit. Points outside the mask ``of`` (n,) get NaN.
     """

@@ -133,7 +133,7 @@ class DirectionalSpacing(Shown):
 
 
 def directional(xy: ArrayLike, *, radius: float = 0.5) -> DirectionalSpacing:
-    """Median distance to the nearest point near each direction.
+    """Return the median distance to the nearest point near each direction.
 
     Directions are 4 degrees apart. For each direction and each point the nearest other point within
     30 degrees of the direction or its opposite is found; the spacing is the median over the points.
@@ -268,7 +268,7 @@ def line_parts(xy: ArrayLike, found: DirectionalSpacing | None = None) -> np.nda
 
 
 def table_of(names, values, intervals):
-    """Rows of figures with their intervals; all figures but the last are lengths."""
+    """Return rows of figures with their intervals; all figures but the last are lengths."""
     numbers = np.column_stack([values, intervals])
     numbers[:-1] *= 1000
     table = pd.DataFrame(numbers, columns=["value", "low", "high"])

@@ -145,14 +145,14 @@ def empty_space(xy: ArrayLike, *, outline: object = None, rank: int = 1) -> Empt
 
 
 def space_within(xy, outline, *, most=EMPTY_PLACES, rank=1):
-    """The empty space of coordinates and an outline that are checked."""
+    """Return the empty space of coordinates and an outline that are checked."""
     places = places_within(outline, most)
     border = from_border(outline, places)
     return EmptySpace(places, tree_of(xy).query(places, [rank])[0][:, 0], border)
 
 
 def places_within(outline, most=EMPTY_PLACES):
-    """Places spread evenly over a surface, (m, 2), m."""
+    """Return places spread evenly over a surface, (m, 2), m."""
     low, high = np.reshape(outline.bounds, (2, 2))
     count = most * min(100, np.prod(high - low) / max(outline.area, 1e-300))
     places = np.outer(np.arange(count if outline.area else 0), STEPS) % 1 * (high - low)
@@ -162,7 +162,7 @@ def places_within(outline, most=EMPTY_PLACES):
 
 
 def from_border(outline, places):
-    """Distances of places (m, 2) from the outline of a surface, (m,), m."""
+    """Return distances of places (m, 2) from the outline of a surface, (m,), m."""
     low = outline.bounds[:2]
     sides = shapely.transform(shapely.boundary(outline), lambda xy: xy - low)
     shapely.prepare(sides)

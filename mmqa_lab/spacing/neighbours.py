@@ -20,7 +20,7 @@ PER_THREAD = 30_000
 
 
 def tree_of(xy):
-    """A tree of points that is quickly made."""
+    """Return a tree of points that is quickly made."""
     from scipy.spatial import cKDTree
 
     return cKDTree(xy, balanced_tree=False, compact_nodes=False)
@@ -58,14 +58,14 @@ def _portions(rows, reach):
 
 
 def by_quadrant(away, offset):
-    """The least distance in each quadrant, sorted; quadrants follow from exact signs."""
+    """Return the least distance in each quadrant, sorted; quadrants follow from exact signs."""
     dx, dy = offset.real, offset.imag
     place = np.where(dy > 0, dx <= 0, np.where(dy < 0, 2 + (dx >= 0), 2 * (dx < 0)))
     return np.sort(_least(away, place, 4), axis=1)
 
 
 def by_direction(away, offset):
-    """The least distance within 30 degrees of each direction that is tried, either way."""
+    """Return the least distance within 30 degrees of each direction that is tried, either way."""
     count = round(180 / STEP_DEG)
     turn = np.angle(offset) / np.pi * count
     steps = _least(away, np.floor(turn + 0.5).astype(int) % count, count)

@@ -150,7 +150,7 @@ class Spacing(Shown):
 def quadrant_distances(
     xy: ArrayLike, *, radius: float = 0.5, angle: float = 0.0, of: ArrayLike | None = None
 ) -> np.ndarray:
-    """Distance from each point to the nearest other point in each of four quadrants.
+    """Return the distance from each point to the nearest other point in each of four quadrants.
 
     The quadrants about a point are half open and do not overlap: [dx > 0, dy >= 0],
     [dx <= 0, dy > 0], [dx < 0, dy <= 0], [dx >= 0, dy < 0]. The search is exact.
@@ -211,7 +211,7 @@ def checked_spacing(xy, radius, angle=0.0, of=None):
 
 
 def quadrants(xy: ArrayLike, *, radius: float = 0.5, angle: float = 0.0) -> Spacing:
-    """Medians d1..d4 of the sorted quadrant distances, and their ratio f.
+    """Return medians d1..d4 of the sorted quadrant distances, and their ratio f.
 
     Parameters
     ----------
@@ -297,7 +297,7 @@ def exempt(d1: ArrayLike, d4: ArrayLike, rho0: float) -> np.ndarray:
 
 
 def poisson_spacing(density: float) -> np.ndarray:
-    """Expected d1..d4 of a homogeneous Poisson pattern.
+    """Return the expected d1..d4 of a homogeneous Poisson pattern.
 
     The area pi r^2 / 4 of a quadrant out to its nearest point is exponentially distributed. So the
     k-th of the four sorted distances has the median d_k = sqrt(-4 ln(1 - q_k) / (pi density)). q_k
@@ -393,6 +393,6 @@ def _nearest_per_quadrant(xy, radius, of):
 
 
 def nearest_by_scipy(xy, radius):
-    """Sorted distances to the nearest point in each quadrant, NaN last."""
+    """Return the sorted distances to the nearest point in each quadrant, NaN last."""
     found = nearest_by_sector(xy, tree_of(xy), np.arange(len(xy)), radius, 16, 4, by_quadrant)
     return np.where(np.isinf(found), np.nan, found)

@@ -177,7 +177,7 @@ def cast(setup, target, *, still=False):
 
 
 def paper(scan, *, literal=False, ways=(True, False)):
-    """Equations 2 to 10 of the paper, with r2 in equation 10 unless ``literal``.
+    """Return Equations 2 to 10 of the paper, with r2 in equation 10 unless ``literal``.
 
     The paper does not say whether the spacing leads to the pulse above or below. The result is the
     mean over ``ways``, by default both.
@@ -197,12 +197,12 @@ def paper(scan, *, literal=False, ways=(True, False)):
 
 
 def lattice(scan):
-    """The scan lattice, with the motion of the vehicle."""
+    """Return the scan lattice, with the motion of the vehicle."""
     return _figures_of(vars(scan_lattice(scan.setup, scan.target)))
 
 
 def measured(scan):
-    """A fit of all profiles of the simulated points at once, with time."""
+    """Return a fit of all profiles of the simulated points at once, with time."""
     found = measure_pattern(scan.cloud, gps_time=scan.cloud["gps_time"], reference=scan.spot)
     stds = {f"std_{name}": value for name, value in _figures_of(found.std).items()}
     return _figures_of(vars(found)) | stds

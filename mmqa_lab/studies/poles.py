@@ -196,7 +196,7 @@ def differences(results, first, *, corridor=30.0):
 
 
 def f1(counted):
-    """F1 of rows (n, 3) of hits, targets and detections; NaN if all are zero."""
+    """Return F1 of rows (n, 3) of hits, targets and detections; NaN if all are zero."""
     hits, targets, finds = counted.sum(axis=0)
     return 2 * hits / (targets + finds) if targets + finds else np.nan
 

@@ -76,7 +76,7 @@ WORDS = {"view": ("orthogonal", "forward", "backward"), "direction": ("h", "v")}
 
 
 def checked_criteria(criteria):
-    """Criteria checked and with every column."""
+    """Return the criteria checked and with every column."""
     criteria = _whole(criteria, CRITERIA, ("distance_m", "rho0_per_m2"), "criteria")
     criteria["relation"] = criteria["relation"].map(lambda sign: SPELT.get(sign, sign))
     for twice in criteria.loc[criteria["criterion"].duplicated(), "criterion"]:
@@ -99,7 +99,7 @@ def check_quantities(criteria, results):
 
 
 def checked_results(results):
-    """Results checked and with every column."""
+    """Return results checked and with every column."""
     spelt = {"remark": "remarks", "metric": "quantity", "cloud": "system"}
     results = results.rename(columns={a: b for a, b in spelt.items() if b not in results})
     results = _whole(results, RESULTS, ("distance_m", "sigma", "low", "high"), "results")
@@ -187,7 +187,7 @@ def _step_of_mark(value):
 
 
 def is_mark(value):
-    """Whether a value is a mark a, b, c."""
+    """Return whether a value is a mark a, b, c."""
     return isinstance(value, str) and value.strip().lower() in MARKS
 
 
@@ -200,13 +200,13 @@ def _check_unit(value, quantity, name):
 
 
 def doubted(quantity, remarks):
-    """Whether a remark names the figure."""
+    """Return whether a remark names the figure."""
     words = QUANTITIES.get(quantity, (0, 0, re.escape(quantity) or r"\b\B"))[2]
     return re.search(rf"\b({words})\b", remarks, re.IGNORECASE) is not None
 
 
 def rank_of(value, name):
-    """A figure as a number, marks as steps from a; NaN for none."""
+    """Return a figure as a number, marks as steps from a; NaN for none."""
     if value is None or value == "":
         return np.nan
     try:

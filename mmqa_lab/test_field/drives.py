@@ -132,7 +132,7 @@ def trend(distance: ArrayLike, values: ArrayLike) -> pd.Series:
 
 
 def figures(values, block):
-    """The figures that heights and distances in plan share; a series of values in mm."""
+    """Return the figures that heights and distances in plan share; a series of values in mm."""
     found = errors(values)
     share = mean_reach(values**2, block) / np.maximum(found.rmse**2, 1e-300) / 2
     return {
@@ -147,6 +147,6 @@ def figures(values, block):
 
 
 def mean_ends(name, values, block):
-    """The 95 % interval of a mean, mm."""
+    """Return the 95 % interval of a mean, mm."""
     mean, reach = errors(values).bias, mean_reach(values, block)
     return {f"{name}_low_mm": mean - reach, f"{name}_high_mm": mean + reach}

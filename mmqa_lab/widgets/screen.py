@@ -61,7 +61,7 @@ def in_turn():
 
 
 def labelled(label):
-    """A label and its width, and the width of the control."""
+    """Return a label and its width, and the width of the control."""
     style, layout = {"description_width": "14em"}, {"width": "34em"}
     return {"description": label, "style": style, "layout": layout}
 
@@ -73,7 +73,7 @@ def forget_zoom(figure):
 
 
 def canvas_of(figure):
-    """A canvas of ipympl; without a screen, the figure.
+    """Return a canvas of ipympl; without a screen, the figure.
 
     The import of ipympl changes the backend of the whole session, so the backend is set back.
     """

@@ -86,7 +86,7 @@ def errors_of(points, surface, again, *, beam_m, turn, seed):
 
 
 def relief_errors(uv, noise, beam_m, seed):
-    """Errors of things drawn onto a board: step, crack, pothole, waves and kerb, a dict."""
+    """Return errors of things drawn onto a board: step, crack, pothole, waves and kerb, a dict."""
     return {
         "step_mm": step_mm(uv, noise),
         "crack_mm": crack_mm(uv, noise + averaged(_crack, uv, beam_m)),
@@ -109,7 +109,7 @@ def shown(xy):
 
 
 def averaged(relief, uv, radius):
-    """The relief under a beam: the mean of its middle and of six places on a ring."""
+    """Return the relief under a beam: the mean of its middle and of six places on a ring."""
     angles = np.pi / 3 * np.arange(6)
     ring = radius * np.vstack([[0, 0], np.column_stack([np.cos(angles), np.sin(angles)])])
     return np.mean([relief(uv + off) for off in ring], axis=0)
