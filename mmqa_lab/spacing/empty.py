@@ -164,6 +164,12 @@ def places_within(outline, most=EMPTY_PLACES):
 def from_border(outline, places):
     """Return distances of places (m, 2) from the outline of a surface, (m,), m."""
     low = outline.bounds[:2]
-    sides = shapely.transform(shapely.boundary(outline), lambda xy: xy - low)
-    shapely.prepare(sides)
-    return shapely.distance(sides, shapely.points(places - low))
+    rings = shapely.get_rings(shapely.get_parts(outline))
+    corners, ring = shapely.get_coordinates(rings, return_index=True)
+    corners, places = ((xy - low) @ (1, 1j) for xy in (corners, places))
+    found = np.full(len(places), np.inf)
+    for k in np.flatnonzero((np.diff(ring) == 0) & (np.diff(corners) != 0)):
+        away, side = places - corners[k], corners[k + 1] - corners[k]
+        share = np.clip((away * side.conj()).real / abs(side) ** 2, 0, 1)
+        np.minimum(found, np.abs(away - share * side), out=found)
+    return found
