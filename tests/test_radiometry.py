@@ -137,6 +137,22 @@ def test_a_control_target_in_shadow_is_doubted(rng, recwarn):
         adjust_block(table.assign(radiance=dark * table["radiance"]), control=control, **PRIORS)
 
 
+def test_controls_too_dark_for_an_error_to_be_told_are_said(rng, recwarn):
+    table, ground, _ = block(rng)
+    order = np.argsort(ground)
+    dark, bright = order[0], order[[-1, -9, -17, -25, -33]]
+
+    def adjusted(ties):
+        adjust_block(
+            table, control=pd.DataFrame({"tie": ties, "reflectance": ground[ties], "std": 0.003})
+        )
+
+    adjusted(bright)
+    assert not recwarn
+    with pytest.warns(UserWarning, match=rf"targets {dark} are wrong by 15% cannot be told"):
+        adjusted([*bright, dark])
+
+
 OTHER_FALLS = [(0.2, 4.0, np.inf), (0.1, 1.7, 0.002), (0.1, 1.7, 0.0)]
 
 

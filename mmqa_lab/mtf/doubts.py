@@ -9,7 +9,7 @@ from mmqa_lab._results import NORMAL, sentences
 from mmqa_lab.mtf.transfer import BINS_PER_PIXEL, COARSE, profile, spread_edge
 
 __all__ = [
-    "CUT", "STAR_PARTS", "check", "check_cycles", "clipped_side", "remarks_on",
+    "CUT", "STAR_PARTS", "TAILED", "check", "check_cycles", "clipped_side", "remarks_on",
     "remarks_on_star",
 ]  # fmt: skip
 
@@ -44,6 +44,10 @@ ODD_SIDES = "the profile is not alike on both sides, as beside a second edge"
 STAR_PARTS, LARGEST_DRIFT, SEEN_SHARE = 12, 1.5, 0.7
 """Parts of the circle in which the outer wave is compared: its phase may differ by so many radians,
 and its contrast in a part that is not hidden is at least this share of the others'."""
+
+ADDED, TAILED = -0.3, 0.08
+"""Share of light that only sharpening moves from a lens's tails into its middle; error of a star
+behind tails, of which its sectors do not show the levels."""
 
 UNLIKE, SQUARE, SHARPENED, BENT_PHASE = 0.06, 0.6, 0.025, 0.02
 """Share of a wave of twice the cycles; least share of the one of three times that square sectors
@@ -191,11 +195,12 @@ def _shares(fit):
     return places, (means - low) / (high - low), fit.grain / np.sqrt(np.median(count))
 
 
-def remarks_on_star(waves, clipped, harmonics, transfers, beyond):
+def remarks_on_star(waves, clipped, harmonics, transfers, beyond, tail):
     """Return what is said about a star.
 
     ``harmonics``: waves of twice and three times the cycles near the outline over the star's own;
-    ``transfers``: what the lens leaves of them; ``beyond``: contrast above that of any lens.
+    ``transfers``: what the lens leaves of them; ``beyond``: contrast above that of any lens;
+    ``tail``: share of light in a lens's tail, below zero what sharpening adds.
     """
     faintest = np.abs(waves).min() / np.median(np.abs(waves))
     hidden = f"a part of the star is hidden: contrast {faintest:.0%} of the others'"
@@ -203,11 +208,13 @@ def remarks_on_star(waves, clipped, harmonics, transfers, beyond):
     bent = "sectors are bent, as by a lens: MTF50 may be off by some per cent"
     unlike = harmonics[0] > UNLIKE * transfers[0]
     round_ = transfers[1] > 0.15 and harmonics[1] < transfers[1] / 3 * SQUARE
+    tails = f"{tail:.0%} of the light are in the tails of the lens: MTF50 may be off by"
     said = sentences(
         (faintest < SEEN_SHARE, hidden),
         (faintest >= SEEN_SHARE and _lag(waves) > BENT_PHASE, bent),
         (clipped, clips),
-        (beyond > SHARPENED, "sharpened: no lens transfers so much"),
+        (beyond > SHARPENED or tail < ADDED, "sharpened: no lens transfers so much"),
+        (tail > 0, f"{tails} {TAILED:.0%}"),
         (unlike and not clipped, "dark and bright sectors are unlike: MTF50 is too low"),
         (round_, "sectors have no plain middle, as of a sinusoidal star: MTF50 is too low"),
     )

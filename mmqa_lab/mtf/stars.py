@@ -16,8 +16,15 @@ from scipy.optimize import least_squares, minimize_scalar
 
 from mmqa_lab._checks import check_count, check_image, check_number, check_positive, refuse
 from mmqa_lab._results import Shown, about
-from mmqa_lab.mtf.doubts import STAR_PARTS, check_cycles, clipped_side, remarks_on_star
-from mmqa_lab.mtf.transfer import FITTED_TRANSFERS, FREQUENCIES, SIGMOID_PX, crossing, lens_mtf
+from mmqa_lab.mtf.doubts import STAR_PARTS, TAILED, check_cycles, clipped_side, remarks_on_star
+from mmqa_lab.mtf.transfer import (
+    FITTED_TRANSFERS,
+    FREQUENCIES,
+    SIGMOID_PX,
+    crossing,
+    lens_mtf,
+    tail_mtf,
+)
 
 __all__ = ["StarMtf", "measure_star"]
 
@@ -32,6 +39,10 @@ NEARBY = 1.2
 
 RING_STEP_PX, RINGS_A_WIDTH = 0.5, 4
 """Distance between the beginnings of rings, which are two pixels wide: four rings share a pixel."""
+
+TAILS_PX, BY_TAIL = (1.0, 1.5, 2.0, 3.0, 4.0), 60.0
+"""Widths of tails that may stand beside a lens's own shape; and by how many squares of a ring's
+noise one must lessen what is left."""
 
 LEAST_CONTRAST = 0.3
 """Contrast from which a transfer above the best lens's is sharpening."""
@@ -55,6 +66,9 @@ class StarMtf(Shown):
         x (column), y (row) in pixels of the given image, the first pixel's centre at 0.
     tilt_deg : float
         Angle under which the star was seen; 0 if it is round.
+    tail : float
+        Share of light in a lens's tails, which the sectors tell badly; below zero what sharpening
+        adds to its middle.
     remarks : tuple of str
         Reasons to doubt the figures; empty if there are none.
 
@@ -73,6 +87,7 @@ class StarMtf(Shown):
     radius_px: np.ndarray
     centre: tuple
     tilt_deg: float = 0.0
+    tail: float = 0.0
     remarks: tuple[str, ...] = ()
 
     def at(self, share: float) -> float:
@@ -117,7 +132,8 @@ class StarMtf(Shown):
         spread = np.sqrt(RINGS_A_WIDTH * terms @ covariance @ terms) / abs(line[0])
         found = float(np.sqrt(place))
         # besides noise, stars err by .15 % behind three simulated lenses, level and tilted
-        return found, float(np.hypot(spread / (2 * found), 0.0015 * found))
+        other = TAILED / 2 if self.tail > 0 else 0.0015
+        return found, float(np.hypot(spread / (2 * found), other * found))
 
     def to_frame(self) -> pd.DataFrame:
         """Return ``frequency_per_px``, ``mtf``, ``mtf_std``, ``radius_px``, one row a circle."""
@@ -139,7 +155,8 @@ def measure_star(
     radius, and its odd harmonics as far as pixels show them are fitted to all pixels. The wave's
     amplitude over that of plain sectors, times pi/4 for their square shape, is the transfer
     function. What blur takes away in the middle of the sectors is given back to their levels, as
-    much as a lens takes that fits the transfer function: Gaussian, disc or diffraction. The centre,
+    much as a lens takes that fits the transfer function: Gaussian, disc, diffraction or one that
+    falls by e, each with or without long tails. The centre,
     and the ellipse that a tilted star is, are refined until the wave has the same phase in all
     rings.
 
@@ -211,7 +228,7 @@ def measure_star(
     fits = [_ring(pixels, place, n, ring) for ring in rings]
     amplitude, std = np.array([(np.hypot(*fit[0]), fit[1]) for fit in fits]).T
     frequency = n / (2 * np.pi * rings)
-    lens = _lens_of(frequency, amplitude)
+    lens, tail = _lens_of(frequency, amplitude)
     # three standard deviations of the Gaussian of the same MTF50
     clear = 0.56 / crossing(FREQUENCIES, lens(FREQUENCIES), 0.5)
     levels, borders, clipped = _plain_levels(pixels, place, n, radius, clear)
@@ -223,8 +240,8 @@ def measure_star(
     model = np.abs(lens(frequency))
     above = scale * (amplitude - 3 * std) - model  # more than noise
     beyond = float(above[model > LEAST_CONTRAST].max(initial=0))
-    remarks = remarks_on_star(waves, clipped, waves_seen, square, beyond)
-    known = {"centre": centre, "tilt_deg": _tilt(place), "remarks": remarks}
+    remarks = remarks_on_star(waves, clipped, waves_seen, square, beyond, tail)
+    known = {"centre": centre, "tilt_deg": _tilt(place), "tail": tail, "remarks": remarks}
     return StarMtf(frequency, scale * amplitude, scale * std, rings, **known)
 
 
@@ -291,22 +308,42 @@ def _outer_parts(pixels, place, n, radius):
 
 
 def _lens_of(frequency, contrast):
-    """Transfer function of the lens whose shape fits contrasts up to a scale.
+    """Transfer function of the lens whose shape fits contrasts up to a scale, and its tail's share.
 
-    The contrast of plain sectors is not needed: a lens transfers everything at frequency zero.
+    The contrast of plain sectors is not needed: a lens transfers everything at frequency zero. A
+    tail counts where it explains far more than noise does; below zero it is what sharpening adds.
     """
     known = np.isfinite(contrast) & (contrast > 0.05 * np.nanmax(contrast))
     f, seen = frequency[known], contrast[known]
 
-    def misfit(log_width, transfer):
-        """Sum of squares that the best scale leaves."""
+    def parts(log_width, transfer, tail):
+        """What the lens leaves, and what its tail does, of a wave; and the best share of both."""
         model = np.abs(lens_mtf(transfer, np.exp(log_width), f))
-        return ((seen - model * (model @ seen) / (model @ model)) ** 2).sum()
+        model = np.column_stack([model, model * tail_mtf(f * tail)][: 1 + (tail > 0)])
+        return model, np.linalg.lstsq(model, seen, rcond=None)[0]
+
+    def misfit(*given):
+        """Sum of squares that the best scale leaves."""
+        model, share = parts(*given)
+        return np.square(seen - model @ share).sum()
 
     choices = {"bounds": np.log(SIGMOID_PX), "method": "bounded"}
-    fits = {one: minimize_scalar(misfit, args=(one,), **choices) for one in FITTED_TRANSFERS}
-    best = min(fits, key=lambda lens: fits[lens].fun)
-    return partial(lens_mtf, best, float(np.exp(fits[best].x)))
+    best = []
+    for tails in ((0.0,), TAILS_PX):
+        kinds = [(one, tail) for one in FITTED_TRANSFERS for tail in tails]
+        fits = {kind: minimize_scalar(misfit, args=kind, **choices) for kind in kinds}
+        kind = min(fits, key=lambda one: fits[one].fun)
+        best.append((kind, fits[kind]))
+    (plain, without), ((transfer, tail), fit) = best
+    share = parts(fit.x, transfer, tail)[1]
+    share = float(share[1] / share.sum())
+    lens = partial(lens_mtf, plain[0], float(np.exp(without.x)))
+    if len(f) * (without.fun - fit.fun) < BY_TAIL * fit.fun:
+        return lens, 0.0
+    if share <= 0:
+        return lens, share
+    wide = partial(lens_mtf, transfer, float(np.exp(fit.x)))
+    return lambda q: wide(q) * (1 - share + share * tail_mtf(np.asarray(q) * tail)), share
 
 
 def _plain_level(lens, borders):

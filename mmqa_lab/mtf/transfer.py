@@ -17,6 +17,7 @@ from scipy.special import j1, ndtr
 __all__ = [
     "BINS_PER_PIXEL", "COARSE", "FITTED_TRANSFERS", "FREQUENCIES", "LENS_TRANSFERS",
     "SIGMOID_PX", "by_bins", "crossing", "full_width", "lens_mtf", "profile", "spread_edge",
+    "tail_mtf",
 ]  # fmt: skip
 
 
@@ -104,8 +105,8 @@ def _diffraction(x):
     return 2 / np.pi * (np.arccos(x) - x * np.sqrt(1 - x**2))
 
 
-def _exponential(x):
-    """Transfer of a spread that falls by e in each width, as of stray light."""
+def tail_mtf(x):
+    """Return the transfer of a spread that falls by e in each width, as of stray light."""
     return (1 + (2 * np.pi * x) ** 2) ** -1.5
 
 
@@ -120,7 +121,7 @@ LENS_TRANSFERS = {"gaussian": _gauss, "disc": _disc, "diffraction": _diffraction
 """Transfer functions of lenses at frequencies times their width (cycles per pixel, pixels)."""
 
 
-FITTED_TRANSFERS = (*LENS_TRANSFERS.values(), _exponential)
+FITTED_TRANSFERS = (*LENS_TRANSFERS.values(), tail_mtf)
 
 
 """Those of which the one that fits best tells what a lens takes from plain sectors."""

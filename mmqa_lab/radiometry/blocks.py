@@ -162,8 +162,9 @@ def adjust_block(
     Warns
     -----
     UserWarning
-        If control targets contradict each other, more than a hundredth of the observations do not
-        count, or the light falls off to the corners otherwise than with the square of the radius.
+        If control targets contradict each other, or are too dark or too few for an error of 15 % to
+        be told, more than a hundredth of the observations do not count, or the light falls off to
+        the corners otherwise than with the square of the radius.
 
     Notes
     -----
@@ -171,8 +172,8 @@ def adjust_block(
     even part of anisotropy (b1) are one effect and only their sum is determined. Fix one of them or
     give its prior. A control target that is wrong by less than about eight of its standard
     deviations may stay unnamed, since it draws gains and haze: of six, one that is wrong by five is
-    named in a third to three quarters of the blocks, and where none is, intervals of gains cover
-    .60 to .96.
+    named in a third to three quarters of the blocks. Those of which an error of 15 % would be named
+    in fewer than nine of ten blocks are said: dark ones, or too few.
 
     References
     ----------

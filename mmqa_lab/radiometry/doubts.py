@@ -30,6 +30,10 @@ LOOSE, FEWEST_TIES = 2.0, 8
 RINGS, FALLS_OTHERWISE = 5, 4.0
 """Rings around the centre of an image, and standard errors by which one may differ from others."""
 
+WRONG, POWER = 0.15, 1.28
+"""Share of its value by which a control target is wrong that should be named, and the quantile of
+the probability, nine in ten, with which it is."""
+
 SURELY = 0.001
 """Probability of a residual below which its target is named, over the number of targets."""
 
@@ -49,6 +53,9 @@ def warn(block, estimate, value, std, share, adjusted_std):
     left = np.maximum(np.abs(estimate - value) / free, of_ties / np.hypot(std, spread * estimate))
     left = np.where(np.isfinite(std), left, 0)
     doubtful = block.ties[(left > CONTRADICTS) & (left == left.max())]
+    # the least error of a control that is named (Baarda's internal reliability)
+    least = np.where(np.isfinite(std), (CONTRADICTS + POWER) * std**2 / free, 0)
+    unseen = block.ties[least > WRONG * value]
     counts = np.abs(share) <= SHADOW * spread
     odd = 1 - counts.mean()
     # means of rings of one area, in their standard errors
@@ -63,13 +70,16 @@ def warn(block, estimate, value, std, share, adjusted_std):
     loose = (wide > LOOSE * max(wide.median(), RELATIVE_STD / 10)) & (
         of_image.size() >= FEWEST_TIES
     )
-    known, images = (", ".join(map(str, part)) for part in (doubtful, block.images[loose]))
+    known, blind, images = (
+        ", ".join(map(str, part)) for part in (doubtful, unseen, block.images[loose])
+    )
     gains = "the gains may be wrong by more than their deviations."
     shaded = f"{odd:.0%} of the observations contradict the others, as those in shadow do"
     clouded = f"The observations of images {images} contradict each other"
     falls = "The light falls off to the corners otherwise than radial and its square say"
     for text in sentences(
         (known, f"Control targets {known} contradict the others, as one in shadow does: {gains}"),
+        (blind, f"Whether control targets {blind} are wrong by {WRONG:.0%} cannot be told here."),
         (odd > 0.01, f"{shaded}: they do not count."),
         (images, f"{clouded}, as where a part lies under a cloud: their gains may be wrong."),
         (uneven.any(), f"{falls}: {gains}"),
