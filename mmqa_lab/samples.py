@@ -70,7 +70,6 @@ def fetch(name: str) -> Path:
     one = PUBLIC[check_choice(name, "public cloud", PUBLIC)]
     target = _cached(one)
     if _hash(target, one.hash) != one.hash:
-        target.unlink(missing_ok=True)
         write_atomically(target, lambda part: _download(one, part))
     return target
 

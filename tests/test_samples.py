@@ -147,6 +147,22 @@ def test_another_file_under_the_address_is_refused_and_not_kept(host, wall, tmp_
     assert not list((tmp_path / "cache").iterdir())
 
 
+def test_what_another_process_has_just_fetched_stays(host, wall, monkeypatch):
+    sound, target = samples._hash, samples._cached(wall.one)
+
+    def late(file, wanted):
+        found = sound(file, wanted)
+        target.parent.mkdir(exist_ok=True)
+        target.write_bytes(wall.content)  # by the other one, while this one looks
+        return found
+
+    monkeypatch.setattr(samples, "_hash", late)
+    wall.one.url = "http://127.0.0.1:9/wall.xyz"
+    with pytest.raises(OSError, match="wall"):
+        samples.fetch("wall")
+    assert target.read_bytes() == wall.content
+
+
 def test_a_download_stops_at_the_stated_size(host, wall, tmp_path, monkeypatch):
     monkeypatch.setattr(samples, "LARGEST_BYTES", 18)
     (host.folder / "wall.xyz").write_bytes(bytes(5_000_000))

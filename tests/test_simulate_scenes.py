@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmqa_lab import simulate
-from mmqa_lab.simulate import Scene
+from mmqa_lab.simulate import Scene, streets
 from mmqa_lab.simulate.surfaces import disc, foliage
 
 FAR = np.array([1e7, -4e6, 300.0])
@@ -160,3 +160,40 @@ def test_an_opening_has_reveals_on_its_four_sides_and_wall_around_it():
     aside = [(3.9, 2), (6.1, 2), (5, 0.9), (5, 4.1), (5, 2)]
     hits = scene.cast([[0, y, z] for y, z in aside], [[1, 0, 0]] * 5)
     assert hits.range_m == pytest.approx([5, 5, 5, 5, 5.2])
+
+
+def extent_of(surface):
+    return (surface.centre - surface.half).min(axis=0), (surface.centre + surface.half).max(axis=0)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("seed", range(6))
+def test_what_stands_along_a_street_ends_where_its_truth_says(seed, side):
+    at, plan = np.array([6.0, 20.0, 0.5]), streets.PLANS["quiet"]
+    made = {}
+    for kind in ("lamp", "sign", "tree", "other"):
+        build = getattr(streets, f"_{kind}")
+        parts, truth = build(np.random.default_rng(seed), at, side, plan)
+        top = at + [truth["lean_x"], truth["lean_y"], 0] * np.array(truth["height_m"])
+        made[kind] = truth, top, parts[-1]
+        low, high = extent_of(parts[0])  # of the shaft; as it leans its end is a little higher
+        assert low[2] == pytest.approx(0.5, abs=0.02)
+        assert high[2] == pytest.approx(0.5 + truth["height_m"], abs=0.02)
+        middle = (truth["x_m"], truth["y_m"])
+        assert middle == pytest.approx((at[:2] + top[:2]) / 2)
+    truth, top, head = made["lamp"]  # 10 to 25 cm above the end of an arm over the road
+    low, high = extent_of(head)
+    assert high[2] == pytest.approx(0.5 + truth["height_m"] + 0.25)
+    assert 0.6 <= (top[0] - low[0] if side > 0 else high[0] - top[0]) <= 2.3
+    truth, top, boards = made["sign"]  # up to the top, 2 cm before the post
+    size = 2 * (0.5 + truth["height_m"] - boards.centre[0, 2])
+    assert 0.45 <= size <= 0.8
+    assert boards.half[0, 2] == pytest.approx(size / 2)
+    off = np.hypot(*(boards.centre[0] - top)[:2])
+    assert off == pytest.approx(truth["diameter_top_m"] / 2 + 0.02)
+    if len(boards) > 1:
+        assert boards.centre[0, 2] - boards.centre[1, 2] == pytest.approx(size / 2 + 0.15)
+    truth, top, leaves = made["tree"]  # the shaft ends in the middle of the crown
+    low, high = extent_of(leaves)
+    assert low[2] == pytest.approx(0.5 + truth["clear_height_m"], abs=0.4)
+    assert (low[2] + high[2]) / 2 == pytest.approx(0.5 + truth["height_m"], abs=0.3)

@@ -184,7 +184,7 @@ def run(arguments):
         _say(name, "interrupted; what was finished is kept.")
         return 130
     except Exception as error:
-        if "--raise" in words:
+        if "--raise" in words and not isinstance(error, CycloptsError):
             raise
         _say(name, sentence_of(error, " ".join(words[1:])))
         return 2

@@ -198,7 +198,7 @@ def height_accuracy(table: pd.DataFrame) -> pd.DataFrame:
     [21.6, 8.16]
     """
     check_columns(table, ("dz_m", "reason"), "table")
-    used = table[table["reason"].fillna("") == ""]
+    used = table[table["reason"].isin(["", np.nan])]
     dz = 1000 * used["dz_m"]
     block = np.arange(len(used))
     if {"x_m", "y_m"} <= set(used) and len(used):

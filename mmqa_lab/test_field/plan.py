@@ -165,7 +165,7 @@ def plan_accuracy(table: pd.DataFrame) -> pd.DataFrame:
     [50.0, 0.0]
     """
     check_columns(table, ("dx_m", "dy_m", "reason"), "table")
-    used = table[table["reason"].fillna("") == ""]
+    used = table[table["reason"].isin(["", np.nan])]
     target = np.arange(len(used))
     if {"x_m", "y_m"} <= set(used):
         target = used.groupby(["x_m", "y_m"]).ngroup().to_numpy()
