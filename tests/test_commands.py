@@ -374,6 +374,7 @@ def test_the_longest_study_begins_first_and_the_shortest_is_next(tmp_path):
         ("evaluate a.laz --polygon", "command without --polygon"),
         ("evaluate", "command without CLOUDS"),
         ("evaluate a.laz --polgon b", "option --polgon"),
+        ("evaluate a.laz --raise", "option --raise"),
         ("evalute a.laz", "command line: "),
     ],
 )

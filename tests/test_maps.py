@@ -109,6 +109,17 @@ def test_tiles_are_one_cloud(campaign):
         maps.map_campaign(paths, run, cell=0.25, tile=4)
 
 
+def test_other_content_of_the_same_size_and_time_is_another_file(tmp_path):
+    file = tmp_path / "a.las"
+    for seed in (1, 2):
+        io.write_cloud(file, np.random.default_rng(seed).random((500, 3)))
+        os.utime(file, ns=(0, 0))
+        if seed == 1:
+            maps.map_campaign([file], tmp_path / "m")
+    with pytest.raises(ValueError, match="a map of other files or parameters"):
+        maps.map_campaign([file], tmp_path / "m")
+
+
 RUN = "import sys; from mmqa_lab import maps; maps.campaign.ENOUGH = 1; "
 RUN += "maps.map_campaign(sys.argv[2:], sys.argv[1], cell=0.5, tile=2)"
 

@@ -183,6 +183,15 @@ def test_stars_and_edges_behind_other_lenses(lens, width, rng):
     assert bins.fwhm_px == pytest.approx(spread.fwhm(5), rel=0.02)
 
 
+def test_the_stated_deviation_of_mtf50_is_that_of_its_draws(rng):
+    rows, columns = np.mgrid[:40, :40]
+    distance = (columns - 20 + 0.12 * rows - 2) / np.hypot(1, 0.12)
+    edge = 0.3 + 0.4 * spread_edge(distance, 0.8, np.arctan(0.12))
+    found = [fit_edge(edge + rng.normal(0, 0.01, edge.shape)) for _ in range(20)]
+    told = np.sqrt(np.mean([one.mtf50_sigma**2 for one in found]))
+    assert 0.6 < told / np.std([one.mtf50 for one in found]) < 1.8
+
+
 def test_bars_are_resolved_down_to_a_width_and_no_further():
     rows = []
     for period in (8.0, 5.0, 3.5, 1.9):

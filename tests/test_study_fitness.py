@@ -15,7 +15,7 @@ from mmqa_lab.studies import fitness as study
 from mmqa_lab.studies import notebooks_folder
 from mmqa_lab.studies.fitness import acquisitions as make_cases
 from mmqa_lab.studies.fitness import curves, real, tasks, transfer
-from mmqa_lab.studies.fitness.acquisitions import KINDS, PLACES
+from mmqa_lab.studies.fitness.acquisitions import KINDS, PLACES, _objects
 
 SIDE = np.arange(-0.49, 0.491, 0.02)
 GRID = np.stack(np.meshgrid(SIDE, SIDE), axis=-1).reshape(-1, 2)
@@ -24,7 +24,7 @@ GRID = np.stack(np.meshgrid(SIDE, SIDE), axis=-1).reshape(-1, 2)
 def test_acquisitions_fill_their_ranges_and_draws_differ():
     one, two = (make_cases(10, seed=seed) for seed in (1, 2))
     assert one["kind"].tolist() == np.repeat(list(KINDS), 10).tolist()
-    assert one["elsewhere"].mean() == 0.5
+    assert one["elsewhere"].tolist() == [False, True] * (len(one) // 2)
     for name, limits in study.RANGES.items():
         for kind, rows in one.groupby("kind"):
             low, high = KINDS[kind].get(name, limits)
@@ -47,6 +47,14 @@ def test_points_of_a_drive_without_noise_lie_on_their_objects(kind):
         assert len(surface[name]) == len(points[name])
     assert not np.allclose(axes["chart"], axes["board"])
     assert np.hypot(*points["sign"][:, :2].T).max() < tasks.SIGN_M + off
+
+
+def test_a_sign_ends_above_and_below_its_middle():
+    turned, middle = {"sign": np.eye(3)[[2, 0, 1]]}, {"sign": np.array([1.0, 2, 3])}
+    surfaces, ends, owners = _objects({"sign"}, turned, middle)
+    assert (owners, len(surfaces)) == (["sign"], 1)
+    assert np.ptp(ends, axis=0) == pytest.approx([2 * tasks.SIGN_M, 0, 0])
+    assert np.mean(ends, axis=0) == pytest.approx([1, 2, 3])
 
 
 def test_flat_boards_have_no_errors_and_known_ones_have_theirs():

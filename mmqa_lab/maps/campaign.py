@@ -92,7 +92,7 @@ def map_campaign(
     paths = _files(paths)
     cell, radius = check_positive(cell, "cell", unit="m"), check_positive(radius, "radius")
     tile = min(check_count(tile, "tile"), max(1, round(TILE_M / cell)))
-    files = [[str(path), path.stat().st_size, path.stat().st_mtime_ns] for path in paths]
+    files = [[str(one), one.stat().st_size, one.stat().st_mtime_ns, _ends(one)] for one in paths]
     functions = chosen_metrics(metrics)
     run = {"cell": cell, "radius": radius, "tile": tile, "files": files, "metrics": [*functions]}
     own, kept = Path(folder).resolve() / OWN, _record(folder)
@@ -140,6 +140,14 @@ def _computed(function, tasks, unit, client):
         return list(tqdm(done, desc=unit, total=len(tasks), **BAR))
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def _ends(path):
+    """The hash of the first and the last MB of a file: others may have its size and time."""
+    with path.open("rb") as file:
+        content = file.read(2**20)
+        file.seek(max(path.stat().st_size - 2**20, 0))
+        return sha256(content + file.read()).hexdigest()
 
 
 def _files(paths):
