@@ -31,11 +31,11 @@ from mmqa_lab import (
 )
 from mmqa_lab.__main__ import main
 from mmqa_lab._checks import check_count, check_number
-from mmqa_lab.cloud import Cloud
+from mmqa_lab.cloud import Cloud, cells_of
 from mmqa_lab.scan_pattern import mimic
 from mmqa_lab.simulate import cameras
 from mmqa_lab.simulate.point_patterns import point_pattern
-from mmqa_lab.test_field import plan_differences
+from mmqa_lab.test_field import plan_differences, split_drives
 
 PATCH = str(samples.path("road_patch"))
 PLAN = "plan --pulse-rate 3e5 --mirror-frequency 100 --speed 10 --range 5"
@@ -140,6 +140,7 @@ POLE = pd.DataFrame({"x_m": [0.0], "y_m": [0.0], "z_m": [0.0]})
 HEAD = {"pulse_rate_hz": 3e5, "mirror_frequency_hz": 100, "speed_m_s": 10}
 SETUP, WALL = scan_pattern.ScanSetup(**HEAD), scan_pattern.Target(range_m=5)
 TWO_SPOTS = scan_pattern.Patch([[5.0, 0, 0], [6, 0, 0]], [[-1.0, 0, 0]] * 2)
+AT_IT = scan_pattern.Patch([[0.0, 3, 0]], [[-1.0, 0, 0]])
 LINES = np.stack(np.meshgrid([0.0], np.arange(9) / 9, np.arange(9) / 9), axis=-1).reshape(-1, 3)
 EDGE = np.array([[[0, 0, 0], [1, 0, 0.0]]])
 SCANNER = simulate.Scanner(pulse_rate_hz=3e5, mirror_frequency_hz=100)
@@ -181,6 +182,11 @@ FUNCTIONS = [
         "Must be reached between",
     ),
     (lambda: scan_pattern.explain_error(SETUP, WALL, quantity="f", measured=2), "quantity 'f'"),
+    (lambda: scan_pattern.scan_lattice(SETUP, AT_IT), "Invalid points: no length"),
+    (lambda: lines.correspond([[0.1]], np.nan), "Invalid delta: nan. Must be a number."),
+    (lambda: split_drives([1, 2], gap_s=np.nan), "Invalid gap_s nan."),
+    (lambda: cells_of([[1e30, 1]], 1.0), "Invalid cells of 1: 1e+30 of them on an axis."),
+    (lambda: lines.extract_edges([*LINES, [1e9, 1e9, 0]]), "too wide for cells of"),
     (lambda: scan_pattern.measure_pattern(LINES[:5]), "Must be 12 or more."),
     (lambda: scan_pattern.measure_pattern(LINES), "without gps_time and scan_line. Must have one"),
     (lambda: scan_pattern.measure_pattern(LINES, gps_time=[0] * 3), "gps_time of shape (3,)."),

@@ -223,7 +223,7 @@ def calibrate(
         raise ValueError("Invalid drives: none given. Must be one or more.")
     kept = np.isin(PARAMETERS, [check_choice(name, "keep", PARAMETERS) for name in keep])
     free, rng = np.tile(~kept, len(lever)), np.random.default_rng(0)
-    origin = drives[0][0].points.mean(axis=0).round()
+    origin = check_points(drives[0][0].points, name="cloud 1").mean(axis=0).round()
     shots = Shots.sampled(drives, lever, origin, rng)
     level = control is None
     control = np.empty((0, 3)) if level else check_points(control, name="control") - origin

@@ -177,6 +177,8 @@ def scan_lattice(setup: ScanSetup, patch: Patch | Target) -> Lattice:
     """
     patch = patch.patch(setup) if isinstance(patch, Target) else patch
     points, normal = (check_values(values, name) for name, values in patch._asdict().items())
+    for name, part in (("points", points[..., ::2]), ("normals", normal)):
+        refuse(not part.any(axis=-1).all(), name, "no length from the scanner", "of some length")
     normal = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
     pulse_rate, mirror = np.broadcast_arrays(setup.pulse_rate_hz, setup.mirror_frequency_hz)
     speed = np.asarray(setup.speed_m_s, dtype=np.float64)
