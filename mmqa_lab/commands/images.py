@@ -1,5 +1,6 @@
 """The commands on photographs: the chart to print and to measure, and radiometry."""
 
+import warnings
 from pathlib import Path
 from typing import Literal
 
@@ -14,6 +15,11 @@ from mmqa_lab.commands.machine import (
 )
 
 __all__ = ["chart", "image", "radiometry"]
+
+TRUE_SIZE = (
+    "Taken as printed at true size: give --printed-mm if a rule on the print says that a standing "
+    "bar is not 800 mm long."
+)
 
 
 @table
@@ -55,7 +61,7 @@ def image(
     /,
     *,
     chart: Literal["grey", "revised"] = "grey",
-    printed_mm: float = 800.0,
+    printed_mm: float | None = None,
     corners: str | None = None,
     panorama: bool = False,
     camera: Path | None = None,
@@ -76,7 +82,7 @@ def image(
         The chart that was printed.
     printed_mm
         Length of its standing bars by a rule, after printing: no photograph shows that a chart was
-        printed at 98 %, and all pixel sizes are then 2 % too large.
+        printed at 98 %, and all pixel sizes are then 2 % too large. Without it, 800 mm.
     corners
         Corners of the chart in pixels, "X,Y; X,Y; X,Y; X,Y": lower left, lower right, upper right,
         upper left.
@@ -98,10 +104,13 @@ def image(
         "calibration": camera,
         "gamma": "linear" if linear else "srgb",
     }
-    layout, done = charts.imaging_chart(chart).printed(printed_mm), []
+    layout, done = charts.imaging_chart(chart), []
+    layout = layout if printed_mm is None else layout.printed(printed_mm)
 
     def measured(file):
         quality = chart_image.evaluate_file(file, layout, **choices)
+        if printed_mm is None and not done:
+            warnings.warn(TRUE_SIZE, stacklevel=2)
         done.append((file.name, quality))
         return quality.to_frame()
 

@@ -14,7 +14,7 @@ from covered import ESTIMATES, shares, simulated
 from distorted import Lens
 from rendered import pattern_case
 from results import write_section
-from test_mtf import ODD_EDGES, odd_edge, odd_star
+from test_mtf import ODD_EDGES, TAILS, behind_tails, odd_edge, odd_star
 from test_radiometry import block
 
 from mmqa_lab import bench, chart_image, charts, io, samples
@@ -194,7 +194,8 @@ STARS = {
     "white clipped": {"high": 0.5},
     "black clipped": {"low": 0.2},
     "a third hidden": {"hidden": 2.1},
-    **{kind: {"kind": kind} for kind in ("sharpened", "unlike", "sinusoidal", "bent")},
+    **{kind: {"kind": kind} for kind in ("sharpened", "mild", "unlike", "sinusoidal", "bent")},
+    **{f"tails of {width:g} px, {share:.0%}": {"tails": (share, width)} for share, width in TAILS},
 }
 """Stars of 36 cycles, light 0.1 to 0.6: what is stated, cut off, or hidden (radians); stars of 24
 that no lens alone makes."""
@@ -209,6 +210,7 @@ def stars(draws):
             rng = np.random.default_rng(draw)
             spread, place = PointSpread(rng.uniform(0.5, 1.2)), rng.uniform(-0.5, 0.5, 2)
             image = render_star((150, 150), spread, cycles=36, radius_px=70, centre=place)
+            image = behind_tails(image, *change.get("tails", (0, 1)))
             y, x = np.mgrid[:150, :150] - 74.5
             turn = (np.arctan2(y, x) + rng.uniform(0, 6)) % (2 * np.pi)
             image = np.where(turn < change.get("hidden", 0), rng.uniform(0.1, 0.6), image)

@@ -36,8 +36,10 @@ STREETS = {
     "road, two drives": ROAD,
     "street, profiles (Oakland)": "oakland/part2_ac.laz",
     "street, solid state": "public/livox_source.pcd",
+    "street, profiles (Lille)": "lille_street",
 }
-"""Real clouds whose densest stretch is thinned, beside the road patch of the samples."""
+"""Real clouds whose densest stretch is thinned, beside the road patch of the samples; the last is
+one of ``samples.PUBLIC``."""
 
 PLACES_M = ((-0.5, -0.45), (0.5, 0.45))
 """Middles of two squares of 1 m on the road patch: the chart's and the thing's."""
