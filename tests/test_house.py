@@ -189,6 +189,12 @@ def test_importing_the_package_is_light():
     assert done.stdout.strip() == "set()"
 
 
+def test_help_needs_no_tables():
+    code = "import sys, mmqa_lab.commands; print({'pandas', 'scipy', 'numba'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.strip() == "set()"
+
+
 def test_catalogue_and_notebooks_agree():
     notebooks = {path.stem for path in (ROOT / "notebooks").glob("*.ipynb")}
     assert notebooks == {study.notebook for study in (*TOOLS, *STUDIES)}

@@ -20,7 +20,6 @@ from cyclopts import App, CycloptsError, Parameter
 from mmqa_lab import __version__
 from mmqa_lab._checks import check_outputs, is_file
 from mmqa_lab._progress import progress
-from mmqa_lab._results import printed
 
 __all__ = [
     "FIGURE_ENDINGS", "app", "as_json", "as_text", "check_ending", "each_file", "heard",
@@ -255,6 +254,8 @@ def as_json(frame):
 
 def as_text(frame):
     """A table as text of at most 100 columns, with each remark once below it."""
+    from mmqa_lab._results import printed
+
     if frame.empty:
         return f"{' '.join(frame.columns)}\nnone"
     below = [*_sentences(frame, "remarks")]
