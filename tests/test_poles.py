@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from mmqa_lab import poles
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.poles import common, fgi, itc, learned
+from mmqa_lab.poles import common, fgi, itc, learned, measures
 from mmqa_lab.poles.learned import FILE, OF_STREETS, read
 from mmqa_lab.simulate import streets
 
@@ -454,3 +454,11 @@ def test_feet_are_refused_by_the_coordinate_system():
     cloud = Cloud(floor(2.0), crs=pyproj.CRS("EPSG:2263"))
     with pytest.raises(ValueError, match="Invalid cloud in US survey foot"):
         poles.detect(cloud)
+
+
+def test_a_width_is_that_of_the_inner_points_across_the_widest_way():
+    turn = np.linspace(0, 2 * np.pi, 400, endpoint=False)
+    ring = 0.1 * np.column_stack([np.cos(turn), np.sin(turn)])
+    bar = np.column_stack([np.linspace(-0.2, 0.2, 401), np.zeros(401)])
+    of, off = np.repeat([0, 2, 3], [400, 401, 1]), np.concatenate([ring, bar, [[0.3, 0.4]]])
+    assert measures._width(of, off, 5) == pytest.approx([0.2, 0, 0.95 * 0.4, 0, 0], abs=1e-3)

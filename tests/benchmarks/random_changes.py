@@ -44,6 +44,7 @@ EQUIVALENT = {
     ("spacing/_search.py", "_select", "0", "(1)"): "another first pivot, the same order",
     ("boresight/adjustment.py", "Adjustment._fitted", "1", "(0)"): "how much is kept, not what",
     ("studies/repeatability.py", "chart_scan", "64", "(128)"): "how much is kept, not what",
+    ("test_field/drives.py", "figures", "1e-300", "(2e-300)"): "it keeps a logarithm finite",
     ("simulate/point_patterns.py", "point_pattern", "size * np.sqrt(0.5)",
      "(size / np.sqrt(0.5))"): "a wider field is drawn, of which the same square is cut",
 }  # fmt: skip
