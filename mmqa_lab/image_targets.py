@@ -209,12 +209,9 @@ def _calibrated(band, targets, number):
     reach = student_reach(fit.std, fit.freedom)
     figures = _interval("gain", "", fit.gain, reach[0])
     figures |= _interval("offset", "_dn", fit.offset, reach[1])
-    across = targets.loc[used.index, ["x_px", "y_px"]].to_numpy(dtype=float)
     signal = used["known"].to_numpy() * exposure
-    changes = _change_along(across, signal, used["mean_dn"].to_numpy())
     remarks = [*_said(used["name"], used["uneven"]), *_of_hot(used), *fit.remarks]
-    remarks += sentences((changes, f"the light changes by {changes:.0%} along the targets"))
-    remark = "; ".join(remarks)
+    remark = "; ".join([*remarks, *_of_light(targets, used, signal)])
     return [figures | {"r_squared": fit.r_squared, "n": fit.n, "remarks": remark}]
 
 
@@ -224,15 +221,18 @@ def _of_hot(patches):
     return [f"{count} odd pixels left out"] if count else []
 
 
-def _change_along(places, known, dn):
-    """Share by which light changes along a row of targets, from one end to the other."""
+def _of_light(targets, patches, known):
+    """The remark on light that changes along a row of targets, from one end to the other."""
+    places = targets.loc[patches.index, ["x_px", "y_px"]].to_numpy(dtype=float)
     away = places - places.mean(axis=0)
     along = away @ np.linalg.svd(away, full_matrices=False)[2][0]
     if not np.ptp(along) > 0:
-        return 0.0
+        return []
+    dn = patches["mean_dn"].to_numpy()
     design = np.stack([known, np.ones_like(known)], axis=1)
     change = unlikely_term(design, known * along / np.ptp(along), dn, np.ones_like(dn))
-    return abs(change) / np.polyfit(known, dn, 1)[0]
+    change = abs(change) / np.polyfit(known, dn, 1)[0]
+    return sentences((change, f"the light changes by {change:.0%} along the targets"))
 
 
 def _reflectances(band, targets, number):
@@ -251,6 +251,7 @@ def _reflectances(band, targets, number):
     seen_as = known["anisotropy"]
     line = radiometry.empirical_line(dn, known["known"], anisotropy=seen_as, **stated)
     factor = student_reach(1.0, line.freedom)
+    light = _of_light(targets, known, (known["known"] * seen_as).to_numpy())
     for row in patches[patches["known"].isna()].itertuples():
         saturated, inside = row.saturated_share > 0, dn.min() <= row.mean_dn <= dn.max()
         value = float(line.reflectance(row.mean_dn, anisotropy=row.anisotropy))
@@ -258,7 +259,7 @@ def _reflectances(band, targets, number):
         reach = factor * float(line.std(row.mean_dn, std_dn=row.std_error_dn)) / row.anisotropy
         beyond = not inside, "beyond the reference targets"
         doubted = pd.concat([known, patches.loc[[row.Index]]])
-        remarks = [*sentences((saturated, "saturated"), beyond), *line.remarks]
+        remarks = [*sentences((saturated, "saturated"), beyond), *line.remarks, *light]
         remarks += [*_said(doubted["name"], doubted["uneven"]), *_of_hot(doubted)]
         figures = {"target": row.name} | _interval("reflectance", "", value, reach)
         yield figures | {"references": line.n, "remarks": "; ".join(remarks)}

@@ -88,3 +88,15 @@ def test_a_place_that_is_no_number_names_its_target(column, value, rng):
     table[column] = table[column].astype(float).mask(table.index == 2, value)
     with pytest.raises(ValueError, match=f"Invalid {column} of target 3"):
         image_targets.measure(image, "reflect", targets=table)
+
+
+@pytest.mark.parametrize("falls", [0.0, 0.15])
+def test_light_that_falls_along_the_references_is_said_of_a_reflectance(falls, rng):
+    known = np.array([0.05, 0.5, 0.1, 0.3, 0.2, 0.4])
+    dn = (400 + 4000 * np.append(known, 0.25)) * (1 - falls * np.arange(7) / 6)
+    values = np.repeat([dn], 20, axis=1).repeat(20, axis=0) + rng.normal(0, 5, (20, 140))
+    table = pd.DataFrame({"x_px": 20 * np.arange(7), "y_px": 0, "width_px": 20, "height_px": 20})
+    table = table.assign(reflectance=np.append(known, np.nan), name=list("abcdefg"))
+    image = values.astype(np.uint16)[None]
+    found = image_targets.measure(image, "reflect", targets=table)
+    assert ("the light changes by" in found["remarks"].item()) == (falls > 0)
