@@ -37,7 +37,10 @@ BEAMS = replace(PRESETS["hdl-32e"], lever_arm_m=(0.0, 0.0, 2.2))
 SCANNERS = {"profiler": streets.SCANNERS["roamer"], "32 beams": BEAMS}
 BARE = [(d, h) for d in (0.06, 0.1, 0.15, 0.2, 0.3, 0.45, 0.6, 0.9) for h in
         (1.2, 1.6, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0)]  # fmt: skip
-KINDS = ("leaning", "conical", "square", "with boards", "in a hedge", "cut at 2 m")
+KINDS = (
+    *("leaning", "conical", "square", "double"),
+    *("with boards", "with a box", "in a hedge", "cut at 2 m"),
+)
 WALLS = ("before a higher wall", "before a wall of 3 m")
 
 
@@ -78,6 +81,13 @@ def posts(kind, scanner, seed, n=30):
             things.append(surfaces.box(foot, (wide, wide, height), heading=draw(0, 90)))
         else:
             things.append(surfaces.cylinder(foot, foot + way, wide / 2, top_radius=top))
+        if kind == "double":  # two posts of one sign
+            beside = foot + [0, 0.8, 0]
+            rows.append(rows[-1] | {"y_m": rows[-1]["y_m"] + 0.8})
+            things.append(surfaces.cylinder(beside, beside + way, wide / 2))
+        if kind == "with a box":
+            middle = foot + [0, wide / 2 + 0.12, 1.0]
+            things.append(surfaces.box(middle, (0.3, 0.2, 0.5), heading=0.0))
         if kind == "with boards":
             size = draw(0.4, 0.7)
             middle = foot + [0, wide / 2 + 0.03, height - size / 2]
