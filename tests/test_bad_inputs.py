@@ -183,7 +183,6 @@ FUNCTIONS = [
     ),
     (lambda: scan_pattern.explain_error(SETUP, WALL, quantity="f", measured=2), "quantity 'f'"),
     (lambda: scan_pattern.scan_lattice(SETUP, AT_IT), "Invalid points: no length"),
-    (lambda: lines.correspond([[0.1]], np.nan), "Invalid delta: nan. Must be a number."),
     (lambda: split_drives([1, 2], gap_s=np.nan), "Invalid gap_s nan."),
     (lambda: cells_of([[1e30, 1]], 1.0), "Invalid cells of 1: 1e+30 of them on an axis."),
     (lambda: lines.extract_edges([*LINES, [1e9, 1e9, 0]]), "too wide for cells of"),

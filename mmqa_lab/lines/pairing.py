@@ -158,7 +158,6 @@ def correspond(
     check_choice(matcher, "matcher", MATCHERS)
     (distances,) = check_together(distances=distances)
     refuse(distances.ndim != 2, "distances", f"shape {distances.shape}", "a table")
-    refuse(np.isnan(delta), "delta", delta, "a number")
     near = distances <= delta
     if matcher == "fragments":
         test, model = from_common_origin(np.asarray(test), np.asarray(model))
