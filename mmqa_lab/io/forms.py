@@ -177,7 +177,8 @@ def read_ply(path):
     points = np.stack([rows[axes[axis]] for axis in "xyz"], axis=1)
     finite = points[np.isfinite(points)]
     single = finite.astype(np.float32)
-    stored = points.dtype == np.float32 or (not order and (finite == single).all())
+    alike = not order and np.allclose(finite, single, rtol=1e-15, atol=0)  # as pandas reads text
+    stored = points.dtype == np.float32 or alike
     step = float(np.spacing(np.abs(single).max(initial=0))) if stored else np.nan
     names = [name for name in rows.dtype.names if name not in {axes[axis] for axis in "xyz"}]
     columns = {name: np.array(rows[name]) for name in names}
