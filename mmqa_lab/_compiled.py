@@ -6,6 +6,7 @@ seconds each, plain loops a tenth of that.
 
 import contextlib
 import functools
+import hashlib
 import os
 import tempfile
 import threading
@@ -20,9 +21,23 @@ __all__ = ["end_with_parent", "in_threads", "njit"]
 
 
 def njit(*, cache=True, **choices):
-    """Return numba's decorator; compiled code is kept only where something can be written."""
+    """Return numba's decorator; compiled code is kept only where something can be written.
+
+    numba lists a file of code before it writes it, under the name that the code before had. A
+    process that reads in between would run what an older numba or an older source left. So names
+    have a mark of both.
+    """
     places = Path(__file__).parent / "__pycache__", AppDirs("numba", False).user_cache_dir
-    return numba.njit(cache=cache and any(map(_can_write, places)), **choices)
+    kept = numba.njit(cache=cache and any(map(_can_write, places)), **choices)
+
+    def marked(function):
+        compiled = kept(function)
+        if file := getattr(compiled._cache, "_cache_file", None):
+            of = hashlib.sha256(repr((numba.__version__, file._source_stamp)).encode())
+            file._data_name_pattern = of.hexdigest()[:8] + "." + file._data_name_pattern
+        return compiled
+
+    return marked
 
 
 @functools.cache

@@ -14,6 +14,7 @@ import tempfile
 import time
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -23,6 +24,7 @@ import pandas as pd
 import pyproj
 import pytest
 import xarray as xr
+from numba.core.caching import IndexDataCacheFile
 
 from mmqa_lab import io, maps, samples, views
 from mmqa_lab._checks.words import BEGINNINGS
@@ -278,6 +280,24 @@ def test_students_copies_are_written_again_unless_somebody_worked_on_them(tmp_pa
     target.write_bytes(first.replace(b"metadata", b"metadata ", 1))
     with pytest.raises(ValueError, match="may be a student's work"):
         write_student_notebooks(tmp_path, chosen(["mimic"]))
+
+
+def test_compiled_code_of_an_older_source_is_never_run(tmp_path, monkeypatch):
+    def of(adds):
+        """The result of 1 with a source that adds so much, as a new process has it."""
+        source = f"from mmqa_lab._compiled import njit\n@njit()\ndef f(x):\n    return x + {adds}\n"
+        (tmp_path / "kernel.py").write_text(source)
+        known = spec_from_file_location("kernel", tmp_path / "kernel.py")
+        module = module_from_spec(known)
+        known.loader.exec_module(module)
+        return module.f(1)
+
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    assert of(1) == 2
+    with monkeypatch.context() as stopped:  # between the list of code and the code
+        stopped.setattr(IndexDataCacheFile, "_save_data", lambda *_: None)
+        assert of(100) == 101
+    assert of(100) == 101
 
 
 def test_compiled_code_is_not_kept_where_nothing_can_be_written(tmp_path):
