@@ -143,6 +143,10 @@ def store(notebooks, folder, studies):
     ------
     ValueError
         If a study has no complete full run, or if its notebook changed after the run.
+
+    Notes
+    -----
+    The ledger is renewed where the results have all studies that it names.
     """
     folder, notebooks = Path(folder).resolve(), Path(notebooks)
     answers, seconds = stored_answers(notebooks), stored_seconds(notebooks)
@@ -176,8 +180,10 @@ def store(notebooks, folder, studies):
         _renew_advice(notebooks.parent / "README.md", pd.read_csv(folder / ADVICE))
     if (folder / KEY_FIGURE).is_file():
         _store_figure(folder / KEY_FIGURE, notebooks / "key_figure.png", 1000)
-        rows = collect(folder)
-        write_atomically(notebooks / LEDGER, rows)
+    rows = collect(folder)
+    known = notebooks / LEDGER
+    if known.is_file() and set(rows["study"]) >= set(pd.read_csv(known)["study"].dropna()):
+        write_atomically(known, rows)
         counts = summary(rows)
         _store_ledger(counts, notebooks / "ledger.png")
         _renew_readme(notebooks.parent / "README.md", {}, counts.loc["all"])

@@ -20,6 +20,9 @@ FEW = 10
 NEAR = 0.03
 """A metric does if its balanced accuracy is less than so much behind the best one's."""
 
+COIN = 0.5
+"""Balanced accuracy of a coin."""
+
 RHO0 = 3000.0
 """The density of section 4.2 of Pfeifer et al. 2021, with its exemption."""
 
@@ -231,7 +234,8 @@ def advice(table, real):
     DataFrame
         The rows of ``pooled`` with ``worst``, how much the best of a group has more at most;
         ``near_in``, the groups in which that is less than ``NEAR``; ``limits``, the best limit
-        within each group, as text; ``contradicted_by``.
+        within each group, as text, where it is shown to be better than a coin;
+        ``contradicted_by``.
     """
     keys = ["task", "method"]
     whole = table["scanners"] == "pooled"
@@ -241,7 +245,8 @@ def advice(table, real):
     against = contradictions(real).groupby(keys)["data"].agg(["size", ", ".join])
     against.columns = ["sets", "contradicted_by"]
     found = pooled[pooled["behind"] < NEAR].join(worst, on=keys).join(against, on=keys)
-    within = groups.pivot(index=keys, columns="scanners", values="limit")
+    told = groups.assign(limit=groups["limit"].where(groups["low"] > COIN))
+    within = told.pivot(index=keys, columns="scanners", values="limit")
     within = within[groups["scanners"].unique()].map("{:.2g}".format)
     within = within.replace("nan", "none").agg(", ".join, axis=1)
     found = found.join(close.rename("near_in"), on=keys).join(within.rename("limits"), on=keys)
