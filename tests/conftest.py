@@ -125,6 +125,19 @@ def rng():
     return np.random.default_rng(20210112)
 
 
+@pytest.fixture
+def uncompiled(monkeypatch):
+    """Let the compiled functions of some modules run as plain Python, for small data at once."""
+
+    def plain(*modules):
+        for module in modules:
+            for name, one in list(vars(module).items()):
+                if hasattr(one, "py_func"):
+                    monkeypatch.setattr(module, name, one.py_func)
+
+    return plain
+
+
 def spoiled(stem, names):
     """Return which checks of a study's notebook fail where its names have these values.
 

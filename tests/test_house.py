@@ -43,7 +43,6 @@ OTHER_TESTS = {
     "_progress": "commands",
     "_data": "house",
     "_streams": "kinds",
-    "plane_search": "lines_edges",
     "plots": "figures",
 }
 """Rooms of one file whose tests stand in a file of another name: test_<name>.py."""

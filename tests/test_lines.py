@@ -1,9 +1,11 @@
 """Segments, their distances and the threshold: golden values, brute force, invariances, rejects."""
 
+import itertools
 import re
 import subprocess
 import sys
 import tracemalloc
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,8 +24,10 @@ from mmqa_lab.lines import (
     midpoints,
     pairing_scores,
     peak_threshold,
+    segments,
 )
-from mmqa_lab.lines.pairing import MATCHERS, _is_free
+from mmqa_lab.lines import displacement_search as search
+from mmqa_lab.lines.pairing import MATCHERS, _is_free, paired
 
 LAMBERT_93 = np.array([651_234.56, 6_862_345.67, 35.0])
 
@@ -341,3 +345,108 @@ def test_whole_numbers_have_the_lengths_of_their_values():
     assert midpoints(ends).tolist() == [[2.5, 0, 0]]
     with pytest.raises(ValueError, match="Invalid distances"):
         correspond([[np.nan, 1.0]], 1.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_best_path_is_that_of_all_paths(seed, uncompiled):
+    uncompiled(search)
+    rng = np.random.default_rng(seed)
+    shape, inner = (6, 6, 6), np.s_[2:4, 2:4, 2:4]
+    votes = np.full((3, *shape), -np.inf, np.float32)
+    votes[(slice(None), *inner)] = rng.integers(0, 8, (3, 2, 2, 2))
+    one, two = np.float32(0.5), np.float32(2.5)
+    strides = 1, 6, 36
+    path, total = search._best_path(votes.reshape(3, -1), strides, one, two)
+    places = list(np.argwhere(np.isfinite(votes[0])))
+
+    def worth(way):
+        moved = np.abs(np.diff(way, axis=0))
+        costs = np.select([moved == 0, moved == 1, moved == 2], [0, one, two], np.inf).sum()
+        return sum(votes[(k, *place)] for k, place in enumerate(way)) - costs
+
+    best = max(worth(np.array(way)) for way in itertools.product(places, repeat=3))
+    assert total == pytest.approx(best)
+    assert worth(np.array(np.unravel_index(path, shape)).T) == pytest.approx(best)
+
+
+def test_moves_near_a_path_are_forbidden_and_planes_vote_for_moves_across_them(rng, uncompiled):
+    uncompiled(search)
+    moves = 0.3 * (np.indices((5, 5, 5)).reshape(3, -1).T - 2.0)
+    votes = np.zeros((2, 125), np.float32)
+    search._forbid_around(votes, moves, np.array([62, 0]))
+    for station, middle in enumerate(moves[[62, 0]]):
+        near = np.linalg.norm(moves - middle, axis=1) < search.ELSEWHERE_M
+        assert np.array_equal(np.isinf(votes[station]), near)
+    frame, half = np.array([[0, 0.6, 0.8], [1.0, 0, 0]]), 4
+    planes = rng.random((2, 81)).astype(np.float32)
+    given = votes.copy()
+    search._add_planes(votes, planes, moves / 0.3, frame, half)
+    across, up = np.rint(moves / 0.3 @ frame.T).astype(int).T + half
+    expected = planes.reshape(2, 9, 9)[:, across, up]
+    assert votes == pytest.approx(np.where(np.isinf(given), -np.inf, expected))
+
+
+def test_what_is_felt_at_a_place_is_less_with_distance_and_comes_from_others(rng, uncompiled):
+    uncompiled(search)
+    places, members = rng.uniform(0, 60, (7, 3)), np.array([1, 4, 6])
+    parts = rng.normal(size=(12, 3))
+    found = search._felt(places, members, parts)
+    for n in range(7):
+        gaps = np.linalg.norm(places[members] - places[n], axis=1)
+        shares = np.where(members == n, 0, np.exp(-gaps / 20))
+        assert found[n] == pytest.approx(parts @ shares)
+
+
+def test_ends_that_agree_speak_for_a_pair_as_their_densities_say():
+    gaps = np.array([[0.0, 0.1], [0.4, 0.4], [3.0, 9.0]])
+    half_t, half_m = np.array([2.0, 2.0, 2.0]), np.array([1.5, 1.5, 1.5])
+    # the ends are along - half_t + half_m and along + half_t - half_m apart
+    half_m = half_t - (gaps[:, 1] - gaps[:, 0]) / 2
+    lines = SimpleNamespace(half=(half_t, half_m), along=gaps.mean(axis=1))
+    share = search.ENDS_AGREE
+
+    def ratio(gap):
+        agree = np.exp(-gap / search.END_M) / search.END_M
+        return np.log((share * agree + (1 - share) * search.CLUTTER_ENDS_PER_M)
+                      / search.CLUTTER_ENDS_PER_M)  # fmt: skip
+
+    expected = np.maximum(ratio(gaps).sum(axis=1), 0)
+    assert search._agreement(lines) == pytest.approx(expected)
+    assert expected[0] > 2.9
+    assert expected[2] == 0
+
+
+def test_a_displacement_that_drifts_and_turns_is_found_between_lines(rng, uncompiled):
+    uncompiled(search)
+    places = np.column_stack([rng.uniform(0, 120, 40), rng.uniform(-8, 8, 40), np.zeros(40)])
+    ends = np.stack([places, places + [0, 0, 4]], axis=1)
+    walls = np.stack([places + [0, 0, 4], places + [3, 0, 4]], axis=1)
+    model = np.concatenate([ends, walls])
+    moved = model.mean(axis=1)
+    turn, drift = 0.002, 0.01 * np.sin(moved[:, 0] / 40)[:, None] * [0, 1, 0]
+    arm = moved - moved.mean(axis=0)
+    shift = [0.2, -0.1, 0.05] + turn * np.column_stack([-arm[:, 1], arm[:, 0], 0 * arm[:, 0]])
+    rows = np.arange(len(model))
+    lines = paired(model + (shift + drift)[:, None], model, rows, rows)
+    found = search._field(lines, np.zeros((len(rows), 3)), rows, 0.03)
+    assert np.abs(found - shift - drift).max() < 0.01
+
+
+def test_parts_of_the_distance_are_those_of_vectors(rng, uncompiled):
+    uncompiled(segments)
+    test, model = rng.normal(size=(5, 2, 3)), rng.normal(size=(6, 2, 3))
+    for shorter, within in ((False, "containment"), (True, "overlap")):
+        rotate = "shorter" if shorter else "test"
+        parts = components(test, model, rotate=rotate, within=within)
+        for i, j in np.ndindex(5, 6):
+            (a, u), (b, v) = ((one.mean(axis=0), one[1] - one[0]) for one in (test[i], model[j]))
+            p, q = np.linalg.norm(u), np.linalg.norm(v)
+            angle = np.arccos(np.clip(abs(u @ v) / p / q, -1, 1))
+            fixed = u / p if shorter and q < p else v / q
+            s = (a - b) @ fixed
+            beside = np.linalg.norm(a - b - s * fixed)
+            apart = max(abs(s) - abs(p - q) / 2, 0)
+            apart = 0 if within == "overlap" and abs(s) < (p + q) / 2 else apart
+            found = [getattr(parts, name)[i, j]
+                     for name in ("angle", "parallel", "perpendicular", "shift")]  # fmt: skip
+            assert found == pytest.approx([min(p, q) * np.sin(angle), apart, beside, s])

@@ -22,7 +22,9 @@ from mmqa_lab import io, maps
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.commands.clouds import metrics_of
+from mmqa_lab.maps import cells
 from mmqa_lab.metrics import METRICS
+from mmqa_lab.planes import fit_plane
 
 
 def street(seed=1, n=6000):
@@ -396,3 +398,17 @@ def test_different_places_never_count_as_one_and_steps_are_found_as_in_a_chart()
     assert int(found["coincident"].sum()) == counts[counts > 1].sum()
     coarse = np.round(street(), 2)
     assert "steps of 10 mm" in maps.map_cloud(coarse).attrs["remarks"]
+
+
+def test_distances_from_the_planes_of_groups_and_equal_places_are_those_of_a_loop(rng):
+    counts = np.array([4, 30, 9])
+    starts, group = np.array([0, 4, 34]), np.repeat(np.arange(3), counts)
+    xyz = rng.normal(size=(3, 43)) * [[1], [1], [0.1]] + [[7], [8], [9]]
+    found = cells._deviations(xyz, starts, counts, group)
+    for k in range(3):
+        expected = fit_plane(xyz[:, group == k].T).residuals
+        assert np.abs(found[group == k]) == pytest.approx(np.abs(expected), abs=1e-9)
+    places = rng.integers(0, 4, (3, 200)).astype(float) / 1024
+    places[:, 0], places[:, 1] = (0.0, 5.0, 5.0), (-0.0, 5.0, 5.0)
+    same = (places[:, :, None] == places[:, None]).all(axis=0).sum(axis=0) > 1
+    assert np.array_equal(cells._coincident(places) > 0, same)

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import spearmanr
+from scipy.stats import t as student
 from statsmodels.stats.proportion import proportion_confint
 from statsmodels.stats.weightstats import DescrStatsW
 
@@ -125,3 +126,30 @@ def test_infinity_is_a_large_value_in_an_interval_of_a_median():
     assert found == stats.median_interval(np.where(far, 1e9, values), block)
     ratio = stats.median_ratio_interval(np.where(far, np.inf, values), values + 1, block)
     assert np.isfinite(ratio).all()
+
+
+def test_parts_in_the_error_of_a_median_are_half_a_sign_less_their_mean(rng):
+    rows = rng.normal(size=(2, 31))
+    found = neighbours._influence(rows)
+    for row, parts in zip(rows, found, strict=True):
+        signs = [np.sign(value - np.median(row)) / 2 for value in row]
+        assert parts == pytest.approx((np.array(signs) - np.mean(signs)) / 31)
+        assert sum(parts) == pytest.approx(0)
+
+
+def test_the_reach_by_waves_is_that_of_sums_over_waves_one_by_one(rng):
+    across, along = rng.integers(0, neighbours.WAVE_PARTS, (2, 200))
+    row = rng.normal(size=200)
+    by_across, by_along, both = [], [], []
+    for one in neighbours.COSINES:
+        by_across.append((row * one[across]).sum() ** 2)
+        by_along.append((row * one[along]).sum() ** 2)
+        both += [(row * one[across] * two[along]).sum() ** 2 for two in neighbours.COSINES]
+    n = len(neighbours.COSINES)
+    sums, apart = np.mean(by_across) + np.mean(by_along), np.mean(both)
+    variance = max(sums - apart, apart)
+    share = 1 - apart / variance
+    freedom = 1 / (share**2 / n + (1 - share) ** 2 / n**2)
+    expected = student.ppf(0.975, freedom) * np.sqrt(variance)
+    found = neighbours._reach_by_waves(row[None], across, along)
+    assert found[0] == pytest.approx(expected, rel=1e-6)
