@@ -13,6 +13,7 @@ from matplotlib.backend_bases import MouseEvent
 from mmqa_lab import plots, widgets
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.cloud import Cloud
+from mmqa_lab.io import read_outlines
 from mmqa_lab.planes import fit_plane
 from mmqa_lab.widgets import selection, surfaces
 from mmqa_lab.widgets.screen import LOCK
@@ -353,6 +354,16 @@ def test_floor_ceiling_and_walls_are_told_apart(room, screen):
     np.testing.assert_allclose(colours[:, :3], [[200 / 255, 201 / 255, 0]] * len(colours))
 
 
+def test_the_list_of_planes_is_as_wide_as_its_box(room, screen):
+    turned = room.points @ np.array([[1, 1, 0], [-1, 1, 0], [0, 0, 2**0.5]]) / 2**0.5
+    house = np.concatenate([turned, turned + [0, 0, 3.3]])
+    tool = widgets.SurfaceTool({"house": house}, tolerance=0.05, size=1)
+    assert all("storey" in text for text, _ in tool._list.options)
+    assert any("wall facing NW" in text for text, _ in tool._list.options)
+    assert max(len(text) for text, _ in tool._list.options) <= 45  # of 292 pixels
+    assert "wall facing north-west" in set(tool.planes["kind"])
+
+
 def test_storeys_are_counted_by_their_floors_and_a_pavement_is_no_ceiling(room, rng, screen):
     desk = rng.uniform(0, 1, (400, 3)) * [1.5, 1, 0] + [2, 1, 0.75]
     storey = np.concatenate([room.points, desk])
@@ -389,9 +400,12 @@ def test_a_cloud_or_plane_that_is_not_there_is_refused_and_changes_nothing(cloud
 def test_selections_are_kept_under_names_shown_again_and_compared(room, screen):
     tool = widgets.SurfaceTool({"room": room}, size=1)
     numbers = tool.planes.set_index("kind")["plane"]
-    for kind in ("floor", "wall facing north", "wall facing north"):
+    for kind, shrunk in (("floor", 1), ("wall facing north", 1), ("wall facing north", 0.9)):
         tool.choose("room", int(numbers[kind]))
-        tool.kept.keep()
+        centre = tool.vertices.mean(axis=0)
+        tool.select(centre + shrunk * (tool.vertices - centre))
+        name = tool.kept.keep()
+        assert tool.kept.keep() == name  # it is kept already
     assert list(tool.kept.selections) == ["floor 1", "wall facing north 1", "wall facing north 2"]
     assert tool.kept.keep("my wall") == "my wall"
     assert tool.kept.keep("my wall") == "my wall 2"
@@ -399,6 +413,7 @@ def test_selections_are_kept_under_names_shown_again_and_compared(room, screen):
     table = tool.kept.table()
     assert table["selection"].tolist() == list(tool.kept.selections)
     assert table["n"].tolist() == [one.quality.n for one in tool.kept.selections.values()]
+    assert set(table["thickness_m"]) == {0.1}
     tool.kept._list.value = "floor 1"
     assert tool.number == numbers["floor"]
     np.testing.assert_allclose(tool.vertices, tool.kept.selections["floor 1"].polygon, atol=1e-9)
@@ -409,3 +424,24 @@ def test_selections_are_kept_under_names_shown_again_and_compared(room, screen):
 def test_a_click_while_a_followers_output_is_captured_is_heard():
     # a kernel calls this of the publisher in place, before it looks what the message asks for
     CapturingDisplayPublisher().set_parent({"header": {}})
+
+
+def test_kept_polygons_are_written_cloud_by_cloud(room, wall, screen, tmp_path):
+    tool = widgets.SurfaceTool({"room": room, "wall": wall}, size=1)
+    for cloud in ("room", "wall"):
+        tool.choose(cloud)
+        tool.kept.keep(f"of {cloud}")
+    tool.kept.write(tmp_path / "room.geojson", "room")
+    tool.kept.write(tmp_path / "chosen.geojson")
+    for file, cloud in (("room", "room"), ("chosen", "wall")):
+        ((name, ring),) = read_outlines(tmp_path / f"{file}.geojson")
+        assert name == f"of {cloud}"
+        np.testing.assert_allclose(ring, tool.kept.selections[name].polygon, atol=1e-9)
+
+
+@pytest.mark.parametrize("names", [("red", "green", "blue"), ("R", "G", "B")])
+def test_true_colours_are_those_of_scanners_and_of_texts(names):
+    columns = {name: np.array([51 * k, 255]) for k, name in enumerate(names)}
+    rgb = surfaces.true_colours(Cloud(np.zeros((2, 3)), columns))
+    np.testing.assert_allclose(rgb, [[0, 0.2, 0.4], [1, 1, 1]])
+    assert surfaces.true_colours(Cloud(np.zeros((2, 3)), {names[0]: np.zeros(2)})) is None

@@ -131,8 +131,8 @@ class SelectionTool:
         look = {"ms": 3, "mew": 0.4, "mfc": "none", "mec": plots.COLOURS["black"], "zorder": 3}
         (self._off,) = self._map.plot([], [], "o", **look)
         self.canvas = canvas_of(self.figure)
-        look = labelled("corners: easting, northing, height (m)")
-        self._corners = ipywidgets.Textarea(continuous_update=False, rows=5, **look)
+        look = labelled("corners: east, north, up (m)") | {"layout": {"width": "44em"}}
+        self._corners = ipywidgets.Textarea(continuous_update=False, rows=6, **look)
         self._alone = ipywidgets.Button(description="Leave out the points with rings", layout=WIDE)
         self._undo = ipywidgets.Button(description="Undo: the polygon before", layout=WIDE)
         self._cut = slider("cross-section at", 0.5, 0.0, 1.0, 0.05)

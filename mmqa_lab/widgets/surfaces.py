@@ -1,12 +1,10 @@
-"""The planes of clouds in a list and a picture, the selection on one, and kept selections."""
+"""The planes of clouds in a list and a picture, and the selection on the chosen one."""
 
 from __future__ import annotations
 
 import contextlib
-import os
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import ipywidgets
@@ -17,17 +15,18 @@ from matplotlib.colors import to_rgba_array
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from mmqa_lab import io, plots
+from mmqa_lab import plots
 from mmqa_lab._checks import check_choice, check_points, refuse
 from mmqa_lab._progress import progress
-from mmqa_lab.chart_cloud import CloudQuality, inside_polygon
+from mmqa_lab.chart_cloud import inside_polygon
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.plane_search import detect_planes
 from mmqa_lab.views import is_headless
-from mmqa_lab.widgets.screen import SHOWN, WIDE, Halt, canvas_of, forget_zoom, in_turn
+from mmqa_lab.widgets.kept import Kept
+from mmqa_lab.widgets.screen import SHOWN, Halt, canvas_of, forget_zoom, in_turn
 from mmqa_lab.widgets.selection import SelectionTool
 
-__all__ = ["Kept", "KeptSelection", "SurfaceTool", "kind_of", "true_colours"]
+__all__ = ["SurfaceTool", "kind_of", "true_colours"]
 
 
 # Most planes listed, those with the most points first: of at least this share of the points of the
@@ -133,11 +132,11 @@ class SurfaceTool(SelectionTool):
             named = ", ".join(self._points)
             raise Halt(f"Invalid cloud {named}: no plane of {size:g} m or more. Must have one.")
         self.planes = pd.concat(found, ignore_index=True)
-        self._scene = Figure(figsize=(4.2, 4), dpi=100, layout="constrained")
+        self._scene = Figure(figsize=(3.9, 4), dpi=100, layout="constrained")
         self._scene.get_layout_engine().set(rect=(0, 0, 0.93, 1))  # buttons are to the right
         self._scene_canvas = canvas_of(self._scene)
         self._scene.canvas.mpl_connect("button_press_event", self._clicked)
-        look = {"layout": {"width": "23.5em"}, "style": {"description_width": "4em"}}
+        look = {"layout": {"width": "25.5em"}, "style": {"description_width": "3.2em"}}
         self._clouds = ipywidgets.Dropdown(options=listed, description="cloud", **look)
         self._clouds.observe(lambda change: self.choose(change["new"]), names="value")
         self._list = ipywidgets.Select(description="plane", rows=LISTED, **look)
@@ -227,10 +226,12 @@ class SurfaceTool(SelectionTool):
         forget_zoom(self._scene)
         rows = self.planes[self.planes["cloud"] == self.name].head(LISTED)
         rows = rows[rows["points"] >= LISTED_SHARE * rows["points"].max()].to_dict("records")
-        text = "{plane}: {kind}, {area_m2:.0f} m², {up_m:.1f} m up"
+        text = "{plane}: {short}, {area_m2:.0f} m², {up_m:.1f} m up"
         text += ", storey {storey}" * (len({row["storey"] for row in rows}) > 1)
         self.number = 0
-        self._list.options = [(text.format(**row), row["plane"]) for row in rows]
+        self._list.options = [
+            (text.format(**row, short=_short(row["kind"])), row["plane"]) for row in rows
+        ]
         self._outlines = []
         self.draw_kept()
 
@@ -335,116 +336,21 @@ def kind_of(normal: np.ndarray) -> str:
     return f"wall facing {facing}" if upright else f"slope facing {facing}"
 
 
+def _short(kind):
+    """What a plane is in the narrow list, as wall facing NW."""
+    *words, last = kind.split()
+    compass = "".join(part[0] for part in last.split("-")).upper()
+    return " ".join([*words, compass if last in POINTS_OF_COMPASS else last])
+
+
 def true_colours(cloud: Any) -> np.ndarray | None:
-    """Return the colours of a cloud, shape (n, 3), 0 to 1; None of one without."""
-    if not all(name in getattr(cloud, "columns", ()) for name in ("red", "green", "blue")):
-        return None
-    rgb = np.stack([cloud[name] for name in ("red", "green", "blue")], axis=1).astype(float)
-    return rgb / (65_535 if rgb.max() > 255 else 255 if rgb.max() > 1 else 1)
+    """Return the colours of a cloud, shape (n, 3), 0 to 1; None of one without.
 
-
-@dataclass(frozen=True)
-class KeptSelection:
-    """A selection: its cloud, the number of its plane, its polygon, thickness and quality."""
-
-    cloud: str
-    plane: int
-    polygon: np.ndarray
-    thickness: float
-    quality: CloudQuality
-
-
-class Kept:
-    """The kept selections of a tool, by name.
-
-    Parameters
-    ----------
-    tool : SurfaceTool
-
-    Attributes
-    ----------
-    selections : dict of str to KeptSelection
-    box : ipywidgets.Widget
-        Name, button and list, as a notebook shows them.
+    They are its columns red, green and blue, or R, G and B as texts have them.
     """
-
-    def __init__(self, tool: Any):
-        self._tool, self.selections, self._followers = tool, {}, []
-        look = {"style": {"description_width": "4em"}, "layout": {"width": "24em"}}
-        self._name = ipywidgets.Text(description="name", placeholder="by itself", **look)
-        self._list = ipywidgets.Select(description="kept", rows=5, **look)
-        keep = ipywidgets.Button(description="Keep this selection", layout=WIDE)
-        drop = ipywidgets.Button(description="Forget the one in the list", layout=WIDE)
-        keep.on_click(lambda _: self.keep(self._name.value))
-        drop.on_click(lambda _: self.forget(self._list.value))
-        self._list.observe(self._listed, names="value")
-        sides = [ipywidgets.VBox([self._name, keep, drop]), self._list]
-        self.box = ipywidgets.HBox(sides, layout={"flex_flow": "row wrap"})
-
-    @in_turn()
-    def keep(self, name: str = "") -> str:
-        """Keep the present selection, and return its name: one that no other has."""
-        tool = self._tool
-        wanted = name.strip() or tool.planes.loc[tool.row, "kind"]
-        taken, number = wanted if name.strip() else f"{wanted} 1", 1
-        while taken in self.selections:
-            number += 1
-            taken = f"{wanted} {number}"
-        place = tool.name, tool.number, tool.vertices, tool.choices["thickness"]
-        self.selections[taken] = KeptSelection(*place, tool.evaluate())
-        self._changed(taken)
-        return taken
-
-    @in_turn()
-    def forget(self, name: str | None) -> None:
-        """Forget a selection."""
-        self.selections.pop(name, None)
-        self._changed(None)
-
-    @in_turn()
-    def choose(self, name: str | None) -> None:
-        """Show a kept selection again."""
-        one, tool = self.selections.get(name), self._tool
-        if one is not None and not np.array_equal(one.polygon, tool.vertices):
-            tool.choose(one.cloud, one.plane)
-            tool.choices["thickness"] = one.thickness
-            tool.select(one.polygon)
-
-    def table(self) -> pd.DataFrame:
-        """Return a row for each selection: its name, its cloud and its figures."""
-        rows = [
-            one.quality.to_frame().assign(remarks=" ".join(one.quality.remarks), cloud=one.cloud)
-            for one in self.selections.values()
-        ]
-        if not rows:
-            return pd.DataFrame({"selection": []})
-        whole = pd.concat(rows, ignore_index=True)
-        whole.insert(0, "cloud", whole.pop("cloud"))
-        whole.insert(0, "selection", list(self.selections))
-        return whole
-
-    def write(self, path: str | os.PathLike) -> None:
-        """Write the polygons with their names, as GeoPackage (.gpkg) or GeoJSON (.geojson)."""
-        crs = self._tool.crs_of(self._tool.name)
-        polygons = {name: one.polygon for name, one in self.selections.items()}
-        io.write_outlines(path, polygons, crs=crs)
-
-    def read(self, path: str | os.PathLike) -> None:
-        """Keep the polygons of a file under their names, each on the plane that it lies on."""
-        crs = self._tool.crs_of(self._tool.name)
-        for name, polygon in io.read_outlines(path, crs=crs):
-            self._tool.choose(self._tool.name, self._tool.plane_at(polygon))
-            self._tool.select(polygon)
-            self.keep(name)
-
-    def _changed(self, name):
-        """Show the list, and the outlines in the picture."""
-        self._list.unobserve(self._listed, names="value")  # new options choose the first
-        self._list.options, self._name.value = list(self.selections), ""
-        self._list.value = name
-        self._list.observe(self._listed, names="value")
-        self._tool.draw_kept()
-
-    def _listed(self, change):
-        """Choose what is chosen in the list."""
-        self.choose(change["new"])
+    known = {name.lower(): name for name in getattr(cloud, "columns", ())}
+    for names in (("red", "green", "blue"), ("r", "g", "b")):
+        if known.keys() >= {*names}:
+            rgb = np.stack([cloud[known[one]] for one in names], axis=1).astype(float)
+            return rgb / (65_535 if rgb.max() > 255 else 255 if rgb.max() > 1 else 1)
+    return None

@@ -48,6 +48,9 @@ def test_selections_are_kept_by_the_keyboard_and_marked_points_left_out(
     wide = page.locator(".jp-OutputArea-output").first
     assert wide.evaluate("one => one.scrollWidth - one.clientWidth") <= 2
     planes = page.get_by_label("plane", exact=True)
+    assert planes.evaluate("one => one.scrollWidth - one.clientWidth") <= 2
+    corners = page.get_by_label("corners")  # four, each in a line of its own
+    assert corners.evaluate("one => one.scrollHeight - one.clientHeight") <= 2
     keep = page.get_by_role("button", name="Keep this selection")
     names = []
     for _ in range(6):
@@ -94,19 +97,21 @@ def test_reports_and_selections_of_ones_own_cloud_have_folders_of_their_own(
     expect(page.locator(".widget-upload")).to_be_visible()
     expect(page.locator(".widget-html", has_text="points/m²").first).to_be_visible()
     assert not [*results.glob("*/report.html")]  # nobody has asked for one
-    for number in (1, 2):
+    for number in (1, 2):  # the same selection, in a folder of its own
         button.click()
-        expect(page.get_by_text(f"_{number}_1/report.html")).to_be_visible(timeout=30_000)
+        expect(page.get_by_text(f"_1_{number}/report.html")).to_be_visible(timeout=30_000)
     page.get_by_role("button", name="Save the kept selections").click()
     expect(page.get_by_text("selections_1").last).to_be_visible(timeout=20_000)
     reports = sorted(results.glob("*/report.html"))
     assert len(reports) == 2
     assert "B_ro_2._OG" in reports[0].parent.name.replace("ü", "_")
+    assert "floor 1 of" in (reports[0].parent / "surface.svg").read_text()
     text = reports[0].read_text()
     assert rng_cloud.name in text
     assert "--thickness 0.1" in text
     polygon = read_polygon(reports[0].parent / "selection.geojson")
-    ((name, ring), _) = read_outlines(results / "selections_1" / "selections.geojson")
+    (outlines,) = (results / "selections_1").glob("*.geojson")
+    ((name, ring),) = read_outlines(outlines)
     assert name == "floor 1"
     np.testing.assert_array_equal(ring, polygon)
     assert page.locator(".jp-OutputArea").get_by_text("Traceback").count() == 0
