@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from mmqa_lab.chart_cloud import evaluate_cloud
+from mmqa_lab.cloud import Cloud
 
 
 def sill(rng, share):
@@ -54,3 +55,22 @@ def test_a_polygon_across_its_surface_is_refused(rng, noise):
     level = [[-0.5, -2, 0.5], [1.5, -2, 0.5], [1.5, 2, 0.5], [-0.5, 2, 0.5]]
     with pytest.raises(ValueError, match=r"Invalid polygon: (89|90) degrees to the surface"):
         evaluate_cloud(wall, polygon=level, thickness=5)
+
+
+def test_several_beams_of_a_spinning_scanner_are_said_where_intervals_are_given(rng):
+    points = np.column_stack([rng.random((400, 2)), 0.003 * rng.standard_normal(400)])
+    ring = np.where(points[:, 0] < 0.5, 7, rng.integers(8, 20, 400))
+    left = [[0.1, 0.1, 0], [0.45, 0.1, 0], [0.45, 0.9, 0], [0.1, 0.9, 0]]
+    beams = len(set(ring))
+    found = evaluate_cloud(Cloud(points, {"ring": ring})).remarks
+    (said,) = (one for one in found if "beams" in one)
+    assert said.startswith(f"The points come from {beams} beams of a spinning scanner: one pass ")
+    assert "hold in about half of the passes, not in 95 %" in said
+    for cloud, polygon in (
+        (points, None),
+        (Cloud(points), None),
+        (Cloud(points, {"ring": 0 * ring}), None),
+        (Cloud(points, {"ring": ring}), left),  # of one beam alone
+        (Cloud(points[:40], {"ring": ring[:40]}), None),  # has no intervals
+    ):
+        assert not any("beams" in one for one in evaluate_cloud(cloud, polygon=polygon).remarks)

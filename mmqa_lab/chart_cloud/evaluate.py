@@ -19,10 +19,12 @@ from mmqa_lab._checks import (
     polygon_rings,
     refuse,
 )
-from mmqa_lab.chart_cloud.doubts import remarks_on_points, remarks_on_surface
+from mmqa_lab._results import sentences
+from mmqa_lab.chart_cloud.doubts import of_turns, remarks_on_points, remarks_on_surface
 from mmqa_lab.chart_cloud.quality import CloudQuality
-from mmqa_lab.cloud import step_of
+from mmqa_lab.cloud import Cloud, step_of
 from mmqa_lab.planes import CONSISTENT_SCALE, checked_plane, sigma_mad
+from mmqa_lab.spacing.directions import FEWEST_POINTS
 from mmqa_lab.spacing.quadrants import checked_spacing
 
 __all__ = [
@@ -120,6 +122,7 @@ def evaluate_cloud(
     (200, 20, 40, 2.0)
     """
     resolution = getattr(points, "resolution", np.nan)
+    ring = points.columns.get("ring", ()) if isinstance(points, Cloud) else ()
     points = check_points(points, minimum=3)
     rho0 = np.nan if rho0 is None else check_positive(rho0, "rho0", unit="points per m2")
     if polygon is not None:
@@ -130,7 +133,7 @@ def evaluate_cloud(
                 f"Invalid points inside the polygon: {inside.sum()} given. Must be 3 or more. The "
                 f"nearest point of the cloud is {away:.3g} m from its centre."
             )
-        points = points[inside]
+        points, ring = points[inside], ring[inside] if len(ring) else ring
     step_mm = 1000 * np.fmax.reduce([resolution, step_of(points), np.spacing(np.abs(points).max())])
     plane = checked_plane(points)
     sigma_mad_mm = 1000 * sigma_mad(plane.residuals, scale)
@@ -144,6 +147,7 @@ def evaluate_cloud(
     remarks = remarks_on_points(gaps, step_mm, sigma_mad_mm, hull.area, outline.area, axes)
     given = polygon is not None
     remarks += remarks_on_surface(points, plane, xy, outline, given, step_mm, scale)
+    remarks += sentences(of_turns(len(np.unique(ring)))) if gaps.n >= FEWEST_POINTS else ()
     return CloudQuality(
         area_polygon_m2=outline.area if given else np.nan,
         area_hull_m2=float(hull.area),
