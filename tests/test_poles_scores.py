@@ -123,3 +123,15 @@ def test_a_reference_that_is_listed_twice_counts_once():
     with pytest.warns(UserWarning, match="1 of 3 references stand at the place of another"):
         found = poles.score(table([[0.1, 0]]), truth)
     assert (found.recall.value, found.recall.n, found.precision.value) == (0.5, 2, 1)
+
+
+def test_columns_of_the_tables_that_the_score_needs_itself_are_said(recwarn):
+    found = pd.DataFrame({"x_m": [0.1, 9.0], "y_m": [0.0, 0.0], "name": ["p", "q"]})
+    truth = pd.DataFrame({"x_m": [0.0, 5.0], "y_m": [0.0, 0.0], "seen": ["2021", "2019"]})
+    plain = poles.score(found, truth)
+    assert not recwarn
+    assert plain.targets["seen"].tolist() == ["2021", "2019"]
+    own = truth.rename(columns={"seen": "found"}), found.rename(columns={"name": "outcome"})
+    with pytest.warns(UserWarning, match="columns found, outcome of their own: those of the score"):
+        again = poles.score(own[1], own[0])
+    assert again.targets["found"].tolist() == plain.targets["found"].tolist() == [True, False]

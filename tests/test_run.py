@@ -422,3 +422,15 @@ def test_a_report_tells_files_of_one_name_apart_and_when_it_was_written(tmp_path
         assert str(file) in text
         assert hashlib.sha256(str(number).encode()).hexdigest() in text
     assert f"{datetime.now():%Y-%m-%d}" in text
+
+
+def test_of_two_runs_in_one_folder_one_writes_and_the_other_says_so(run):
+    other = Run("example", parameters={})
+    other.save_value("b", 2.0, "1", "predicted")
+    for late in (lambda: run.save_value("a", 1.0, "1", "predicted"), run.finish):
+        with pytest.raises(ValueError, match=r"^Invalid run in .*another one writes there"):
+            late()
+    other.save_value("c", 3.0, "1", "predicted")
+    other.finish()
+    assert pd.read_csv(other.folder / "values.csv")["name"].tolist() == ["b", "c"]
+    assert read_record(other.folder)["failure"] == ""

@@ -204,6 +204,10 @@ def score(
         warnings.warn(f"{told}: they are left out.", stacklevel=2)
         references = references.drop_duplicates(["x_m", "y_m"])
     references, found = (part.reset_index(drop=True) for part in (references, detections))
+    given = (references, ("target", "found")), (found, ("outcome", "reference", "distance_m"))
+    if lost := [name for part, names in given for name in names if name in part]:
+        told = f"The tables have columns {', '.join(lost)} of their own"
+        warnings.warn(f"{told}: those of the score take their place.", stacklevel=2)
     target = ~(references.get("height_m", pd.Series(9.0, references.index)) < 1.0).to_numpy()
     if "visible" in references:
         unclear = ~references["visible"].isin([True, False]).to_numpy()

@@ -113,7 +113,7 @@ class Run:
             "python": platform.python_version(),
             "versions": {found.name: found.version for found in metadata.distributions()},
         }
-        write_record(self.folder, self._record)
+        self._note()
         if get_ipython() is not None:
             pd.set_option("display.max_colwidth", None, "display.float_format", digits)
             get_ipython().events.callbacks["post_execute"].insert(0, _finish_shown)
@@ -259,7 +259,7 @@ class Run:
             "kind": kind,
             "values": list(numbers),
         }
-        write_record(self.folder, self._record)
+        self._note()
 
     def check(self, statement: str, passed: bool, obtained: str, reason: str) -> None:
         """Print and record whether a statement holds for this run; a failed check stops nothing.
@@ -313,8 +313,9 @@ class Run:
 
     def finish(self) -> None:
         """Mark the run as complete in its record."""
+        self._check_alone()
         self._record["failure"] = ""
-        write_record(self.folder, self._record)
+        self._note()
 
     def _remove(self, name):
         """Remove the table that an earlier cell wrote under a name."""
@@ -324,10 +325,21 @@ class Run:
 
     def _write(self, name, write):
         """Write a file of this run and enter it into the record."""
+        self._check_alone()
         write_atomically(self.folder / name, write)
         if name not in self._record["files"]:
             self._record["files"].append(name)
+        self._note()
+
+    def _check_alone(self):
+        """Raise where another run has written into the folder since."""
+        other = read_record(self.folder) not in ({}, self._known)
+        refuse(other, f"run in {self.folder}", "another one writes there", "the only one")
+
+    def _note(self):
+        """Write the record and keep what it is as a file."""
         write_record(self.folder, self._record)
+        self._known = read_record(self.folder)
 
 
 def _check_name(name):
