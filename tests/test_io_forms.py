@@ -13,6 +13,7 @@ import tifffile
 
 from mmqa_lab import io, samples
 from mmqa_lab.__main__ import main
+from mmqa_lab.io import forms, outlines
 from mmqa_lab.io.forms import SPHERICAL
 from mmqa_lab.planes import fit_plane
 
@@ -276,3 +277,49 @@ def test_what_the_core_needs_for_a_raster_is_said(tmp_path, monkeypatch):
     assert io.describe_file(tmp_path / "i.tif")["kind"] == "image"
     with pytest.raises(ImportError, match=r"Missing rasterio: install mmqa_lab\[files\]"):
         io.read_heights(tmp_path / "i.tif")
+
+
+def test_an_outline_without_heights_is_laid_onto_the_surface_and_not_what_stands_on_it(rng):
+    xy = rng.uniform(0, 10, (600, 2)) + [450_000, 5_400_000]
+    z = 30 + 0.2 * (xy[:, 0] - 450_000) - 0.1 * (xy[:, 1] - 5_400_000)
+    z[:60] += rng.uniform(1, 3, 60)  # a tenth stands on it
+    points = np.column_stack([xy, z])
+    ring = np.array([[1, 1], [8, 2], [7, 9], [2, 6.0]]) + [450_000, 5_400_000]
+    with pytest.warns(UserWarning, match="laid onto the cloud"):
+        laid = outlines._laid(ring, points, "outline")
+    local = ring - [450_000, 5_400_000]
+    assert laid[:, :2].tolist() == ring.tolist()
+    assert laid[:, 2] == pytest.approx(30 + 0.2 * local[:, 0] - 0.1 * local[:, 1], abs=1e-6)
+
+
+def test_the_head_of_a_ply_file_says_its_elements_in_order():
+    head = """ply
+format binary_big_endian 1.0
+comment made by hand
+obj_info nothing
+
+element vertex 12
+property float x
+property uint8 ring
+element face 3
+property list uchar int vertex_indices
+property double area"""
+    order, elements = forms._ply_header(head, "a.ply")
+    assert order == ">"
+    assert elements == [
+        ("vertex", 12, {"x": ("f4",), "ring": ("u1",)}),
+        ("face", 3, {"vertex_indices": ("u1", "i4"), "area": ("f8",)}),
+    ]
+    for wrong in (
+        "property float x",  # before any element
+        "element vertex 2\nproperty float x\nproperty int x",
+        "element vertex 2\nproperty complex x",
+        "element vertex two",
+        "element face 2\nproperty list float int v",
+        "element face 2\nproperty list uchar text v",
+        "format utf8 1.0",
+    ):
+        with pytest.raises(ValueError, match=r"^Invalid cloud a.ply: "):
+            forms._ply_header(f"ply\nformat ascii 1.0\n{wrong}", "a.ply")
+    with pytest.raises(ValueError, match="no known format"):
+        forms._ply_header("ply\nelement vertex 2\nproperty float x", "a.ply")

@@ -1,5 +1,6 @@
 """Files that would hang, swell or end the process, or hide what they are: one sentence each."""
 
+import os
 import warnings
 
 import cv2
@@ -13,6 +14,7 @@ from PIL import Image, ImageCms
 
 from mmqa_lab import io, maps
 from mmqa_lab.cloud import Cloud
+from mmqa_lab.io import images
 
 GREY = np.random.default_rng(2).integers(0, 256, (60, 80), np.uint8)
 
@@ -189,3 +191,22 @@ def test_minus_999_is_no_height_unless_others_are_near_it(tmp_path, height, left
     for ending in ("csv", "tif"):
         with pytest.warns(UserWarning, match=f"Dropped {40 - left} of 40"):
             assert len(io.read_heights(tmp_path / f"a.{ending}")) == left
+
+
+def test_what_a_library_prints_while_it_decodes_is_kept_and_the_stream_is_as_before(capfd):
+    with images._printed_below() as printed:
+        os.write(2, b"first ")
+        os.write(2, b"second\n")
+    assert printed.getvalue() == b"first second\n"
+    os.write(2, b"after\n")
+    with images._printed_below() as printed:
+        pass
+    assert printed.getvalue() == b""
+    assert capfd.readouterr().err == "after\n"
+    first = os.dup(1)  # none of its places is left open
+    os.close(first)
+    with images._printed_below():
+        pass
+    second = os.dup(1)
+    os.close(second)
+    assert first == second

@@ -1,6 +1,7 @@
 """Edges, stars, bars and sharpness on rendered targets whose point spread is known."""
 
 import re
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -11,9 +12,17 @@ from hypothesis import strategies as st
 from rendered import slanted_edge, true_mtf50
 from scipy.ndimage import gaussian_filter
 from scipy.optimize import brentq
-from scipy.special import ndtr
+from scipy.special import j0, ndtr
 
-from mmqa_lab.mtf import fit_edge, haar_sharpness, measure_star, read_bars, resolving_power
+from mmqa_lab.mtf import (
+    edges,
+    fit_edge,
+    haar_sharpness,
+    measure_star,
+    read_bars,
+    resolving_power,
+    transfer,
+)
 from mmqa_lab.mtf.transfer import spread_edge
 from mmqa_lab.simulate.targets import (
     PointSpread,
@@ -422,3 +431,116 @@ def test_intervals_hold_where_noise_is_strong():
     errors = np.array([(fit.mtf50 - truth) / fit.mtf50_sigma for fit, truth in fits])
     assert np.mean(np.abs(errors) < 1.96) >= 0.86
     assert np.std(errors) > 0.7  # and are not wider than they must be
+
+
+def test_transfer_functions_of_lenses_are_the_integrals_of_their_spreads():
+    f, r = np.array([0.03, 0.1, 0.22, 0.4]), np.linspace(1e-6, 60, 100_001)
+
+    def hankel(spread):
+        weight = spread * r
+        waves = j0(2 * np.pi * f[:, None] * r)
+        return np.trapezoid(waves * weight, r) / np.trapezoid(weight, r)
+
+    assert transfer._gauss(f * 1.3) == pytest.approx(hankel(np.exp(-(r**2) / 2 / 1.3**2)), abs=1e-5)
+    assert transfer._disc(f * 2.0) == pytest.approx(hankel(r <= 2.0), abs=1e-3)
+    assert transfer.tail_mtf(f * 1.5) == pytest.approx(hankel(np.exp(-r / 1.5)), abs=1e-5)
+    # the share that two discs of diameter 1 have in common where their middles are x apart
+    x = np.array([0.0, 0.2, 0.5, 0.9, 1.0, 1.4])
+    at = (np.arange(800) + 0.5) / 400 - 1
+    u, v = np.meshgrid(at, at)
+    both = [(np.hypot(u - k / 2, v) < 0.5) & (np.hypot(u + k / 2, v) < 0.5) for k in x]
+    assert transfer._diffraction(x) == pytest.approx(np.sum(both, axis=(1, 2)) / np.sum(both[0]),
+                                                     abs=5e-3)  # fmt: skip
+    pixel = [np.mean([np.sinc(k * np.cos(t)) * np.sinc(k * np.sin(t))
+                      for t in np.linspace(0, 2 * np.pi, 720)]) for k in f]  # fmt: skip
+    assert transfer.lens_mtf(transfer._gauss, 0.8, f) == pytest.approx(
+        np.exp(-2 * (np.pi * 0.8 * f) ** 2) * pixel, abs=2e-4
+    )
+
+
+def test_an_edge_seen_by_square_pixels_is_the_integral_over_them():
+    sigma, angle = 0.6, 0.3
+    u, v = np.meshgrid(*[(np.arange(60) + 0.5) / 60 - 0.5] * 2)
+    for distance in (-1.2, -0.3, 0.0, 0.45, 1.0):
+        off = distance + u * np.cos(angle) + v * np.sin(angle)
+        expected = ndtr(off / sigma).mean()
+        assert transfer.spread_edge([distance], sigma, angle)[0] == pytest.approx(
+            expected, abs=1e-4
+        )
+
+
+def test_widths_bins_and_waves_of_profiles_are_those_of_plain_sums(rng):
+    places = np.linspace(-6, 6, 1201)
+    lsf = np.exp(-(places**2) / 2 / 0.9**2)
+    assert transfer.full_width(places, lsf) == pytest.approx(
+        2 * 0.9 * np.sqrt(2 * np.log(2)), abs=2e-4
+    )
+    distance, values = rng.uniform(-3, 3, 400), rng.normal(size=400)
+    at, mean, count, variance = transfer.profile(distance, values)
+    bins = np.round(distance * transfer.BINS_PER_PIXEL)
+    groups = [bins == k for k in np.unique(bins)]
+    assert at == pytest.approx([distance[k].mean() for k in groups])
+    assert mean == pytest.approx([values[k].mean() for k in groups])
+    assert count.tolist() == [k.sum() for k in groups]
+    within = sum(((values[k] - values[k].mean()) ** 2).sum() for k in groups)
+    assert variance == pytest.approx(within / (400 - len(groups)))
+    f = np.array([0.1, 0.4])
+    waves = transfer._waves(f, np.array([0.3, -1.0]))
+    assert waves == pytest.approx(np.exp(-2j * np.pi * np.outer(f, [0.3, -1.0]))
+                                  / np.sinc(f / transfer.NARROW_BINS)[:, None])  # fmt: skip
+
+
+def test_terms_of_a_curve_are_a_level_a_sigmoid_two_tails_and_splines_that_end_at_zero():
+    fit = SimpleNamespace(spread=0.8, width=0.7, angle=0.1)
+    ends, place = (-12.0, 9.0), np.linspace(-12, 9, 211)
+    terms, prior = transfer._terms(place, fit, ends)
+    assert (terms[:, 0] == 1).all()
+    assert terms[:, 1] == pytest.approx(transfer.spread_edge(place, 0.7, 0.1))
+    for column, side in ((2, -1), (3, 1)):
+        away = np.maximum(side * place, 0) / 1.6
+        assert terms[:, column] == pytest.approx(-side * away**3 / (1 + away**2) ** 2 / 1.6)
+    assert np.abs(terms[[0, -1], 4:]).max() < 1e-12
+    assert prior[:4].tolist() == [0, 0, transfer.TAIL**-2, transfer.TAIL**-2]
+    assert set(prior[4:]) == {transfer.LOOSE_NEAR**-2, transfer.LOOSE_FAR**-2}
+    peaks = place[terms[:, 4:].argmax(axis=0)]
+    near = np.abs(peaks) < 2 * transfer.CORE * 0.8
+    clear = np.abs(np.abs(peaks) - 2 * transfer.CORE * 0.8) > 1
+    assert np.array_equal((prior[4:] == transfer.LOOSE_NEAR**-2)[clear], near[clear])
+    knots = transfer._knots(0.8, ends)
+    assert (knots[:4] == -12).all()
+    assert (knots[-4:] == 9).all()
+    steps = np.diff(knots[3:-3])
+    core = np.abs(knots[4:-4]) < transfer.CORE * 0.8
+    assert steps[:-1][core] == pytest.approx(max(transfer.KNOT * 0.8, 0.3), rel=0.5)
+    assert (np.diff(steps[knots[3:-4] >= 0][:-1]) > -1e-9).all()  # wider and wider outwards
+
+
+@pytest.mark.parametrize("angle", [0.1, -0.35, np.pi / 2 + 0.2, np.pi - 0.15])
+def test_the_line_of_an_edge_is_found_where_it_was_drawn(angle):
+    y, x = np.mgrid[:60, :50]
+    across = (x - 24.5) * np.cos(angle) + (y - 29.5) * np.sin(angle) - 1.3
+    image = transfer.spread_edge(across, 0.8, angle)
+    found, along, turned = edges._line(image)
+    assert np.degrees(np.abs(np.angle(np.exp(1j * (turned - angle))))) < 0.3
+    assert np.abs(found - across.ravel())[np.abs(across.ravel()) < 5].max() < 0.15
+    beside = (y - 29.5) * np.cos(angle) - (x - 24.5) * np.sin(angle)
+    assert np.abs(along - beside.ravel()).max() < 0.4
+
+
+@pytest.mark.parametrize("tail", [0.0, 0.01])
+def test_light_that_slopes_on_either_side_is_taken_out_to_the_step(tail, rng):
+    across, along = rng.uniform(-14, 14, 6000), rng.uniform(-30, 30, 6000)
+    low, high = 0.1 + 0.002 * along, 0.9 + 0.004 * along - 0.003 * across
+    stray = np.where(np.abs(across) > 1, tail / np.maximum(np.abs(across), 1), 0)
+    edge = ndtr(across / 0.5)
+    values = low + (high - low) * edge - np.sign(across) * stray
+    values += 0.002 * rng.standard_normal(6000)
+    even, step = edges._under_even_light(across, along, values, 0.6)
+    assert step == pytest.approx(np.median(0.8 + 0.002 * along - 0.003 * across), abs=0.005)
+    far = np.abs(across) > 4
+    left = even - edge + np.sign(across) * stray / (high - low)
+    assert np.abs(left[far]).mean() < 0.006
+    assert abs(left[far & (across > 0)].mean()) < 0.0022
+    assert abs(left[far & (across < 0)].mean()) < 0.0022
+    noisy = edges._noise(across, even, 0.6)
+    assert np.median(noisy[across < -1]) == pytest.approx(0.002 / 0.8, rel=0.4)

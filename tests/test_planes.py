@@ -165,3 +165,26 @@ def test_a_robust_plane_lies_where_the_biweights_balance(rng):
     u = (off - np.median(off)) / (4.685 * sigma_mad(off))
     weights = np.where(np.abs(u) < 1, (1 - u**2) ** 2, 0)
     assert abs(np.average(off, weights=weights)) < 1e-5 * off.std()
+
+
+@pytest.mark.parametrize("diameter", [None, 0.4])
+def test_a_circle_has_a_deviation_from_five_points_more_than_parameters(diameter):
+    parameters = 2 + (diameter is None)
+    for more in range(2, 8):
+        turn = np.linspace(0, 5, parameters + more)
+        off = 1e-3 * np.cos(7 * turn)
+        circle = fit_circle(
+            (0.2 + off)[:, None] * np.column_stack([np.cos(turn), np.sin(turn)]), diameter=diameter
+        )
+        assert np.isfinite(circle.std) == (more > 4), more
+
+
+def test_a_circle_with_a_free_radius_is_not_certain_where_points_scatter_by_a_seventh():
+    turn = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+    ways = np.column_stack([np.cos(turn), np.sin(turn)])
+    for share in (0.05, 0.1, 0.13, 0.17, 0.25):
+        off = share * np.where(np.arange(40) % 2, 1, -1)  # both sides alike
+        points = 0.02 * (1 + off)[:, None] * ways
+        found = fit_circle(points)
+        assert np.isfinite(found.std) == (share < 0.15), share
+        assert np.isfinite(fit_circle(points, diameter=0.04).std)
