@@ -74,6 +74,9 @@ JOINED = re.compile(r"(?<![\w$\\])[a-z0-9]{2,}(?:\\?_[a-z0-9]+)+(?![\w.])")
 # Formatters of axes whose ticks have names.
 NAMING = mpl.ticker.FixedFormatter | mpl.ticker.FuncFormatter | mpl.category.StrCategoryFormatter
 
+# A line or a set of dots of more points is drawn as pixels in PDF and SVG, too.
+MOST_LINED = 5000
+
 # Height of the line below the panels with its margins.
 NOTE_INCHES = 0.18
 
@@ -238,6 +241,23 @@ def finish_figure(figure):
         names = [str(name) for name in form.format_ticks(ticks)]
         if any(SYMBOL.fullmatch(name) or "_" in name for name in names):
             axis.set_ticks(ticks, labels=[with_symbols(name) for name in names])
+
+
+@contextlib.contextmanager
+def laid_out(figure):
+    """Lay a figure out once for all formats it is saved in, and draw many points as pixels.
+
+    With a layout engine matplotlib draws a figure twice for each format.
+    """
+    for ax in figure.axes:
+        parts = [(one, one.get_xdata()) for one in ax.lines]
+        parts += [(one, one.get_offsets()) for one in ax.collections]
+        for part in (one for one, places in parts if len(places) > MOST_LINED):
+            part.set_rasterized(True)
+    figure.draw_without_rendering()
+    with mpl.rc_context({"figure.autolayout": False, "figure.constrained_layout.use": False}):
+        figure.set_layout_engine(None)
+        yield
 
 
 def say_kind(figure, kind):

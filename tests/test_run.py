@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from conftest import spoiled
+from matplotlib.figure import Figure
 from overlaps import overlapping_texts
 
 from mmqa_lab import plots
@@ -238,6 +239,23 @@ def test_a_notebook_shows_captions_and_letters_and_its_page_leaves_bookkeeping_o
     page = pages.notebook_page(notebook, "Shown")
     assert "Two panels." in page
     assert "save_figure" not in page
+
+
+def test_a_figure_is_laid_out_once_and_its_many_points_are_pixels(run, monkeypatch):
+    drawn, draw = [], Figure.draw
+    monkeypatch.setattr(Figure, "draw", lambda *given: drawn.append(1) or draw(*given))
+    with plt.rc_context({"figure.constrained_layout.use": True}):
+        figure, ax = plt.subplots()
+        places = np.random.default_rng(1).random((3, 2, 6000))
+        ax.plot(*places[0], "k.", gid="line")
+        ax.scatter(*places[1], gid="dots")
+        ax.scatter(*places[2, :, :5], gid="few")
+        run.save_figure(figure, "points", kind="measured", seen="Points.")
+    assert len(drawn) == 4  # the layout, and each of three formats
+    svg = (run.folder / "points.svg").read_text()
+    assert "<image" in svg
+    assert svg.count("<use") < 100
+    assert 'id="few"' in svg
 
 
 def test_a_figure_leaves_what_it_draws_under_its_name(run):

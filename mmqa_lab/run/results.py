@@ -32,7 +32,7 @@ from mmqa_lab._checks import refuse
 from mmqa_lab._results import digits
 from mmqa_lab.bench import heading, split_unit
 from mmqa_lab.io import write_atomically
-from mmqa_lab.plots import finish_figure, say_kind
+from mmqa_lab.plots import finish_figure, laid_out, say_kind
 from mmqa_lab.published.ledger import entries, verdicts
 from mmqa_lab.run.quotes import as_latex, quoted_name, values_tex, values_typ
 
@@ -171,13 +171,12 @@ class Run:
         kind = kind or ("" if data is None else _kind_of(data)) or self._kinds.get(name, "")
         say_kind(figure, kind)
         finish_figure(figure)
-        figure.draw_without_rendering()
-        figure.set_layout_engine("none")  # laid out once: it takes as long as drawing
         said = all(word in seen for word in re.findall(r"\w+", kind))
         caption = seen if said else f"{seen} Numbers: {kind}."
-        for form, details in FORMATS.items():
-            details = details | {"Title": caption}
-            self._write(f"{name}.{form}", functools.partial(figure.savefig, metadata=details))
+        with laid_out(figure):
+            for form, details in FORMATS.items():
+                details = details | {"Title": caption}
+                self._write(f"{name}.{form}", functools.partial(figure.savefig, metadata=details))
         self._record["figures"][name] = caption
         rows = pd.DataFrame(self._record["figures"].items(), columns=["figure", "caption"])
         self._write("captions.csv", rows.assign(licence="CC BY 4.0"))
