@@ -1,11 +1,13 @@
 """Boresight and lever arms recovered from simulated two-way drives."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from mmqa_lab.boresight import calibrate, corrected
-from mmqa_lab.boresight.adjustment import OnPlanes, OnPoles, Shots
+from mmqa_lab.boresight.adjustment import Adjustment, OnPlanes, OnPoles, Shots
 from mmqa_lab.boresight.mounting import points_at_control, poles_in_common
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.simulate import straight
@@ -198,3 +200,38 @@ def test_a_cloud_without_time_is_refused(survey):
     (cloud, path), *others = survey.drives
     with pytest.raises(ValueError, match="Invalid cloud 1: no column 'gps_time'"):
         calibrate([(Cloud(cloud.points), path), *others], lever_arms_m=survey.lever_arms_m)
+
+
+def test_variances_are_those_of_leaving_each_feature_out(rng):
+    of, ways = np.repeat(np.arange(6), 5), np.eye(6)[:, :3]
+    slopes, misfit = rng.normal(size=(30, 3)), 0.01 * rng.normal(size=30)
+    paths, path_std = rng.normal(size=(30, 12)), np.array([0.02, 0.03, 0.05, 1e-4, 2e-4, 3e-4])
+    known = SimpleNamespace(system=lambda _: (misfit, slopes, paths, of), ways=ways,
+                            _refuse_open=lambda _: None)  # fmt: skip
+    found, freedom = Adjustment.variance(known, None, path_std)
+    # each feature moves the answer by what it changes where it is left out
+    whole = np.linalg.inv(slopes.T @ slopes)
+    moved = []
+    for k in range(6):
+        one, rest = of == k, of != k
+        left = np.linalg.inv(slopes[rest].T @ slopes[rest])
+        # the step that the feature's misfits ask for, of the others' normal equations
+        moved.append(left @ (slopes[one].T @ misfit[one]))
+    of_points = (np.array(moved) ** 2).sum(axis=0)
+    of_paths = ((whole @ slopes.T @ (paths * np.tile(path_std, 2))) ** 2).sum(axis=1)
+    assert found[:3] == pytest.approx(of_points + of_paths)
+    assert (found[3:] == 0).all()
+    shares = np.array([np.diag(whole @ slopes[of == k].T @ slopes[of == k] @ whole)
+                       for k in range(6)])  # fmt: skip
+    students = shares.sum(axis=0) ** 2 / (shares**2).sum(axis=0)
+    assert freedom[:3] == pytest.approx(students * (found[:3] / of_points) ** 2)
+
+
+def test_a_combination_that_has_no_effect_is_refused_and_named(rng):
+    slopes = rng.normal(size=(30, 3))
+    slopes[:, 2] = slopes[:, 0] + 1e-6 * rng.normal(size=30)
+    known = SimpleNamespace(ways=np.eye(6)[:, :3])
+    with pytest.raises(ValueError, match="stays open") as error:
+        Adjustment._refuse_open(known, slopes)
+    assert "of head 1 with" in str(error.value)
+    Adjustment._refuse_open(known, rng.normal(size=(30, 3)))

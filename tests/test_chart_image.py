@@ -1,5 +1,8 @@
 """Measuring in images of the chart: known renderings, closed forms, real photographs."""
 
+import dataclasses
+from types import SimpleNamespace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -9,7 +12,7 @@ from photographed import RealPairs
 from rendered import centre_contrast, grey, pattern_case
 
 from mmqa_lab import chart_image, charts, samples
-from mmqa_lab.chart_image import ChartMap, PanoramaCamera, align
+from mmqa_lab.chart_image import ChartMap, PanoramaCamera, align, doubts, maps
 from mmqa_lab.simulate import cameras
 
 CHART = charts.imaging_chart()
@@ -288,3 +291,121 @@ def test_a_board_that_no_image_shows_has_none():
     past = stations([20.0, 30.0, 40.0])
     none = chart_image.choose_images(past, SITE.loc["image forward", "corners"], distance=10)
     assert none.iloc[0].isna().tolist() == [False, True, True, True]
+
+
+# --- what is said of a photograph
+
+
+def quality_of(monkeypatch, *, clipped=0.0, residual=0.1, charts=1, bent=0.0, gone=(), sizes=1.0,
+               crossed=(), hidden_text=(), resolved=(20.0, 20.0), **columns):  # fmt: skip
+    """What a photograph of four line pairs would give, made up."""
+    names = ["h_20", "h_8", "v_20", "v_8"]
+    pairs = {"name": names, "direction": list("hhvv"), "width_mm": [20.0, 8.0, 20.0, 8.0]}
+    pairs |= {"width_px": [6.0, 2.5, 6.0, 2.5], "resolved": [True, False, True, False]}
+    pairs |= {"contrast": [0.9, 0.05, 0.9, 0.05], "mean": 0.5, "reason": ["", "few", "", "few"]}
+    chart_map = SimpleNamespace(charts=charts, bend=bent or None, bent_share=lambda _: bent)
+    table = {"name": ["left", "lower"], "pixel_mm": [sizes, 3.0]}
+    monkeypatch.setattr(doubts, "hidden_texts", lambda *_: [*hidden_text])
+    monkeypatch.setattr(doubts, "is_crossed", lambda _, one, __: one in crossed)
+    return SimpleNamespace(
+        tones=SimpleNamespace(clipped_share=clipped), residual_px=residual, chart_map=chart_map,
+        pairs=pd.DataFrame(pairs | columns), sizes=pd.DataFrame(table),
+        layout={name: name for name in names},
+        resolution=lambda one: SimpleNamespace(width_mm=resolved["hv".index(one)]),
+    )  # fmt: skip
+
+
+HIDE, MOVE = doubts.HIDDEN, doubts.MOVED
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({}, ""),
+        ({"clipped": 0.049}, ""),
+        ({"clipped": 0.06}, "6% of the plain pixels are clipped"),
+        ({"residual": 0.99}, ""),
+        ({"residual": 1.04}, "bars end 1.0 px from their places"),
+        ({"charts": 2}, "2 charts are seen, the largest is measured"),
+        ({"bent": 0.009}, ""),
+        ({"bent": 0.012}, "straight lines are bent by 1.2%, the map follows them"),
+        ({"sizes": np.nan}, "an end is not seen where the map has it: left"),
+        ({"hidden_text": ["text_a"]}, "hidden: text_a, by a thing, glare or a shadow's edge"),
+        ({"reason": ["", HIDE, "", "few"]}, "hidden: h_8, by a thing"),
+        ({"reason": ["", "few", MOVE, "few"]}, "bars are not where they are printed: v_20"),
+        ({"reason": ["", "few", MOVE, "few"], "width_px": [6, 2.5, 4.0, 2.5]}, ""),
+        ({"reason": ["", "few", MOVE, "few"], "contrast": [0.9, 0, 0.1, 0]}, ""),
+        ({"reason": ["", "few", MOVE, "few"], "contrast": [0.9, 0, -0.11, 0]}, "not where"),
+        ({"contrast": [0.6, 0.1, 0.6, 0.1], "mean": 0.61}, ""),
+        ({"contrast": [0.6, 0.1, 0.6, 0.1], "mean": 0.63}, "mean tone of 0.63 for 0.50: is gamma"),
+        ({"contrast": [0.6, 0.1, 0.6, 0.1], "mean": 0.37}, "mean tone of 0.37 for 0.50: is gamma"),
+        ({"contrast": [0.9, 0.01, 0.9, 0.01], "mean": 0.9}, ""),  # sharp, or lost
+        ({"contrast": [0.6, 0, 0.6, 0], "mean": 0.9, "crossed": ["h_20", "v_20"]}, ""),
+        ({"resolved": (np.nan, 20.0)}, "no line pairs are resolved in direction h"),
+        ({"resolved": (30.0, 20.0), "contrast": [0.9, 0.3, 0.9, 0.05]}, "h_20, h_8 have contrast"),
+        ({"resolved": (30.0, 20.0), "contrast": [0.9, 0.19, 0.9, 0.05]}, ""),
+        ({"resolved": (30.0, 20.0), "contrast": [0.9, 0.3, 0.9, 0], "width_px": [6, 2.2, 6, 2]},
+         ""),
+    ],
+)  # fmt: skip
+def test_what_speaks_against_a_photograph_is_said_from_its_limit_on(given, words, monkeypatch):
+    said = doubts.doubts(quality_of(monkeypatch, **given))
+    assert len(said) == bool(words), said
+    assert words in " ".join(said)
+
+
+def test_a_text_of_which_a_part_lacks_its_contrast_is_hidden(rng):
+    text = SimpleNamespace(name="text_1", x=0.0, cap=10.0, corners=lambda: None)
+    other = SimpleNamespace(name="title", x=0.0, cap=10.0, corners=lambda: None)
+    places = np.column_stack([np.repeat(np.arange(0.5, 20, 1.0), 8), np.tile(np.arange(8.0), 20)])
+    printed = np.tile([0.0, 1.0], 80)
+    layout = SimpleNamespace(of_kind=lambda _: [text, other])
+    for gain, share, expected in ((0.8, 1.0, []), (0.8, 0.05, ["text_1"]), (0.8, 0.2, []),
+                                  (0.2, 0.0, [])):  # fmt: skip
+        seen = 0.1 + gain * printed
+        part = (places[:, 0] >= 5) & (places[:, 0] < 10)  # half as wide as capitals are high
+        seen[part] = 0.1 + gain * share * printed[part]
+        tones = FakeTones(seen, printed, places)
+        assert doubts.hidden_texts(tones, layout, None) == expected
+    assert doubts.hidden_texts(FakeTones(seen, None, places), layout, None) == []
+
+
+@dataclasses.dataclass
+class FakeTones:
+    values: np.ndarray
+    printed: np.ndarray
+    places: np.ndarray
+
+    def near(self, *_):
+        return self.places, self.values
+
+
+def test_a_bent_map_is_undone_and_a_panorama_has_its_angles(rng):
+    terms = np.zeros((4, 4, 2))
+    terms[2, 0], terms[0, 2], terms[1, 1] = (9.0, -4.0), (-6.0, 5.0), (3.0, 2.0)
+    matrix = np.array([[0.5, 0.02, 300], [0.01, -0.5, 700], [1e-5, 2e-5, 1]])
+    bent = ChartMap(matrix, bend=maps.Bend((1000.0, 1000.0), terms), offset=(40.0, 7.0))
+    xy = rng.uniform(0, 1000, (40, 2))
+    assert np.abs(bent.chart(bent.pixels(xy)) - xy).max() < 0.05
+    u, v = (2 * xy / 1000 - 1).T
+    moved = np.array([9 * u**2 - 6 * v**2 + 3 * u * v, -4 * u**2 + 5 * v**2 + 2 * u * v]).T
+    assert bent.bend.at(xy) == pytest.approx(moved)
+    flat = np.column_stack([xy + moved, np.ones(40)]) @ matrix.T
+    assert bent.pixels(xy) == pytest.approx(flat[:, :2] / flat[:, 2:] - [40, 7])
+    panorama = PanoramaCamera(3600)
+    azimuth, elevation = np.radians([10.0, -120, 179]), np.radians([5.0, -40, 60])
+    rays = np.column_stack([np.cos(elevation) * np.sin(azimuth), -np.sin(elevation),
+                            np.cos(elevation) * np.cos(azimuth)])  # fmt: skip
+    pixels = panorama.pixels(7 * rays)
+    assert pixels + 0.5 == pytest.approx(
+        np.column_stack([1800 + np.degrees(azimuth) * 10, 900 - np.degrees(elevation) * 10])
+    )
+    assert panorama.rays(pixels) == pytest.approx(rays)
+
+
+def test_how_far_sides_leave_straight_lines_is_their_sagitta():
+    terms = np.zeros((4, 4, 2))
+    terms[0, 2] = (12.0, 0.0)  # x moves by 12 mm times the square of y from -1 to 1
+    bent = ChartMap(np.diag([1.0, -1.0, 1.0]), bend=maps.Bend((CHART.width, CHART.height), terms))
+    assert bent.bent_share(CHART) == pytest.approx(12 / CHART.height, rel=0.01)
+    assert ChartMap(np.diag([1.0, -1.0, 1.0])).bent_share(CHART) < 1e-9

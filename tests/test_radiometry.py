@@ -18,6 +18,7 @@ from mmqa_lab.radiometry import (
     ndvi,
     patch_statistics,
     reflectance_factor,
+    sensor,
     stability,
 )
 from mmqa_lab.radiometry.reflectance import walthall_terms
@@ -431,3 +432,43 @@ def test_coarse_pairs_are_the_image_first_and_the_reference_second(rng):
     dn, radiance = coarse_pairs(np.kron(200 + 3 * light, np.ones((4, 4))), light)
     assert dn == pytest.approx(200 + 3 * radiance)
     assert radiance.reshape(12, 9)[1, 1] == pytest.approx(np.median(light[:3, :3]))
+
+
+def test_pixels_pile_up_where_they_are_saturated_and_not_by_chance():
+    level = sensor.saturation_level
+    spread = np.repeat(np.arange(100, 200), 40)
+    assert level(np.r_[spread, np.full(201, 210)]) == 210
+    assert level(np.r_[spread, np.full(199, 199)]) == 199  # with those of the spread 239
+    assert level(np.r_[np.arange(50), np.full(9, 60)]) == np.inf  # may be chance
+    assert level(np.r_[np.arange(50), np.full(10, 60)]) == 60
+    # more than five times any of the ten values below
+    for value in (59, 50):
+        assert level(np.r_[np.full(8, value), np.full(40, 60)]) == np.inf
+        assert level(np.r_[np.full(8, value), np.full(41, 60)]) == 60
+    assert level(np.r_[np.full(8, 49), np.full(11, 60)]) == 60
+    many = np.tile(np.arange(1000), 1000)
+    assert level(np.r_[many[:200_000] % 150, np.full(19, 200)]) == np.inf  # of ten thousand one
+    assert level(np.r_[many[:200_000] % 150, np.full(22, 200)]) == 200
+    for bits in (8, 10, 12, 14, 16):
+        assert level(np.array([3, 2**bits - 1])) == 2**bits - 1
+
+
+def test_a_sensor_is_fitted_to_three_unsaturated_targets_of_different_light():
+    light, dn = np.array([10.0, 20, 40, 80]), np.array([120.0, 220, 420, 820])
+    assert fit_sensor(light[:3], dn[:3]).gain == pytest.approx(10)
+    for some in ((light[:2], dn[:2]), (0 * light + 5, dn), (light, 0 * dn + 7)):
+        with pytest.raises(ValueError, match="three or more, of different radiance and DN"):
+            fit_sensor(*some)
+    # three deviations below full scale a target counts
+    assert fit_sensor(light, dn, std_dn=10, full_scale=851).saturated == 0
+    assert fit_sensor(light, dn, std_dn=10, full_scale=849).saturated == 1
+
+
+def test_a_bent_sensor_is_said_from_two_per_cent_of_its_range_on(rng):
+    light = np.linspace(10, 90, 12)
+    for share, said in ((0.015, False), (0.025, True)):
+        # a parabola that leaves its chord by that share of the range in the middle
+        off = 1 - ((light - 50) / 40) ** 2
+        dn = 10 * light + share * 800 * off + 0.1 * rng.standard_normal(12)
+        remarks = " ".join(fit_sensor(light, dn, std_dn=0.1).remarks)
+        assert ("bent by" in remarks) == said, (share, remarks)

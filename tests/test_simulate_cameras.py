@@ -8,6 +8,7 @@ from scipy.special import j1
 
 from mmqa_lab import charts
 from mmqa_lab.charts import Bar, Layout, LinePairs, decode
+from mmqa_lab.simulate import cameras
 from mmqa_lab.simulate.cameras import (
     ChartMap,
     Optics,
@@ -16,6 +17,7 @@ from mmqa_lab.simulate.cameras import (
     chart_view,
     photograph,
 )
+from mmqa_lab.simulate.targets import texture
 from mmqa_lab.simulate.targets.resolution import (
     PointSpread,
     blur_over_image,
@@ -203,3 +205,48 @@ def test_bars_turn_with_their_angle_and_sectors_of_a_star_are_as_sharp_as_bars()
     ring = star[np.abs(np.hypot(x, y) - 30) < 1]
     assert [ring.min(), ring.max()] == pytest.approx([0.1, 0.6], abs=1e-3)
     assert ring.mean() == pytest.approx(0.35, abs=0.02)
+
+
+def test_a_mosaic_has_one_colour_a_pixel_and_even_colours_come_back():
+    tones = np.stack(np.broadcast_arrays(0.2, 0.5, 0.8, np.zeros((8, 10)))[:3], axis=-1)
+    mosaic = cameras._mosaic(tones)
+    assert (mosaic[::2, ::2] == 0.8).all()  # blue first
+    assert (mosaic[1::2, 1::2] == 0.2).all()
+    assert (mosaic[::2, 1::2] == 0.5).all()
+    assert (mosaic[1::2, ::2] == 0.5).all()
+    back = cameras._demosaiced(mosaic)[2:-2, 2:-2]
+    assert np.abs(back - [0.8, 0.5, 0.2]).max() < 1e-4
+    for value in (-0.2, 1.3):  # what noise does beyond black and white is kept
+        even = cameras._demosaiced(np.full((8, 8), value))
+        assert np.abs(even - value).max() < 1e-4
+
+
+def test_a_disc_has_its_radius_and_a_moving_camera_its_way():
+    for radius in (1.5, 4.0, 7.3):
+        kernel = cameras._disc(radius)
+        y, x = np.indices(kernel.shape) - len(kernel) // 2
+        assert kernel.sum() == pytest.approx(1)
+        assert (kernel * (x**2 + y**2)).sum() == pytest.approx(radius**2 / 2, rel=0.08)
+        assert (kernel * x).sum() == pytest.approx(0, abs=1e-12)
+        assert (kernel > 0).sum() / np.pi == pytest.approx((radius + 0.5) ** 2, rel=0.3)
+    layout = charts.imaging_chart()
+    view = chart_view(PanoramaCamera(8000), distance=5, layout=layout)
+    middle = [[layout.width / 2, layout.height / 2]]
+    way = np.array([0.03, 0.0, 0.0])
+    moved = [cameras._moved(view, way, t).pixels(middle)[0] for t in (-0.5, 0.0, 0.5)]
+    assert moved[1] == pytest.approx(view.pixels(middle)[0])
+    length = 0.03 / 5 * 8000 / 2 / np.pi
+    assert np.linalg.norm(moved[2] - moved[0]) == pytest.approx(length, rel=1e-3)
+
+
+def test_textures_fall_off_as_one_over_the_frequency():
+    scene = texture((256, 256), seed=3)
+    assert scene.min() >= 0
+    assert scene.max() <= 1
+    assert scene.mean() == pytest.approx(0.5, abs=0.05)
+    assert scene.std() == pytest.approx(0.15, rel=0.1)
+    power = np.abs(np.fft.fft2(scene - scene.mean()))
+    f = np.hypot(*np.meshgrid(np.fft.fftfreq(256), np.fft.fftfreq(256)))
+    rings = [(f > low) & (f < 1.3 * low) for low in (0.02, 0.05, 0.12)]
+    levels = [np.sqrt((power[ring] ** 2).mean()) * f[ring].mean() for ring in rings]
+    assert max(levels) / min(levels) < 1.35

@@ -271,3 +271,44 @@ def test_beams_that_are_not_cast_would_meet_nothing(turned, place, roll, wide, s
         every = scan(objects, scanner, path)
     assert np.array_equal(asked.points, every.points)
     assert all(np.array_equal(asked[name], every[name]) for name in every.columns)
+
+
+@pytest.mark.parametrize("view", [(-180, 180), (-40, 95), (10, 12)])
+def test_pulses_in_view_are_all_there_and_hardly_any_others(view):
+    scanner = replace(PROFILER, pulse_rate_hz=3600.5, field_of_view_deg=view)
+    for first, last in ((0, 500), (37, 91), (1000, 1003)):
+        found = module._in_view(scanner, first, last)
+        assert (np.diff(found) == 1).all() or view != (-180, 180)
+        assert len(np.unique(found)) == len(found)
+        angle = 360 * (np.arange(first, last) * 100 / 3600.5 % 1) - 180
+        wanted = np.arange(first, last)[(angle >= view[0]) & (angle <= view[1])]
+        assert set(wanted) <= set(found)
+        assert ((found >= first) & (found < last)).all()
+        assert len(found) - len(wanted) <= 5 * (1 + (last - first) / 36)
+
+
+def test_intensity_is_reflectance_times_cosine_of_incidence_in_16_bits():
+    side = simulate.rectangle((5, -60, -20), (0, 120, 0), (0, 0, 40), reflectance=0.4)
+    cloud = scan(Scene([side]))
+    expected = 65_535 * 0.4 * np.cos(np.radians(cloud["incidence_deg"]))
+    assert np.abs(cloud["intensity"] - expected).max() <= 0.51
+
+
+def test_rays_of_a_beam_lie_on_a_ring_that_grows(uncompiled, rng):
+    uncompiled(module)
+    origin, direction = rng.normal(size=(4, 3)), rng.normal(size=(4, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    sides = module.across(direction)
+    starts, aims = np.empty((2, 4, 7, 3))
+    module._spread(origin, direction, sides, rng.random(4), 0.01, 0.003, starts, aims)
+    assert starts[:, 0] == pytest.approx(origin)
+    assert aims[:, 0] == pytest.approx(direction)
+    ring = starts[:, 1:] - origin[:, None]
+    assert np.linalg.norm(ring, axis=2) == pytest.approx(0.01)
+    assert (ring * direction[:, None]).sum(axis=2) == pytest.approx(0)
+    assert ring.sum(axis=1) == pytest.approx(0)  # six, evenly around
+    assert np.linalg.norm(aims, axis=2) == pytest.approx(1)
+    steep = (aims[:, 1:] * direction[:, None]).sum(axis=2)
+    assert steep == pytest.approx(1 / np.hypot(1, 0.003))
+    away = aims[:, 1:] - steep[..., None] * direction[:, None]
+    assert (away * ring).sum(axis=2) / 0.01 == pytest.approx(0.003 / np.hypot(1, 0.003))

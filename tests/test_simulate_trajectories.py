@@ -106,3 +106,31 @@ def test_a_varying_speed_has_its_share_and_its_time_of_correlation():
     off = speed / speed.mean() - 1
     assert off.std() == pytest.approx(0.1, rel=0.05)
     assert np.corrcoef(off[:-50], off[50:])[0, 1] == pytest.approx(np.exp(-1), abs=0.05)
+
+
+def test_navigation_adds_drifts_of_the_size_and_length_that_are_stated():
+    path = simulate.straight(4000, 10, heading=30)
+    size = np.array([0.02, 0.03, 0.05]), np.array([0.01, 0.02, 0.04])
+    known = NavigationErrors(drift_m=size[0], drift_deg=size[1], correlation_s=2.0)
+    found = simulate.measured(path, known, seed=5, interval_s=0.1)
+    place, _ = path.at(found.time)
+    off = found.position - place
+    angles = np.column_stack([found.roll, found.pitch, found.heading - 30])
+    for drift, stated in ((off, size[0]), (angles, size[1])):
+        assert drift.std(axis=0) == pytest.approx(stated, rel=0.2)
+        assert np.abs(np.corrcoef(drift[:-20].T, drift[20:].T)[:3, 3:].diagonal()
+                      - np.exp(-1)).max() < 0.25  # fmt: skip
+    both = np.corrcoef(np.column_stack([off, angles]).T)
+    assert np.abs(both - np.eye(6)).max() < 0.25
+    assert len(found.time) == 4001
+    assert np.ptp(np.diff(found.time)) < 1e-9
+
+
+def test_the_speed_varies_by_its_share_within_half_a_second():
+    path = simulate.straight(6000, 10)
+    found = simulate.with_speed_variation(path, share=0.1, seed=2)
+    speed = np.diff(found.position[:, 1]) / np.diff(found.time)
+    assert np.std(speed) / 10 == pytest.approx(0.1, rel=0.12)
+    pairs = np.corrcoef(speed[:-50], speed[50:])[0, 1]
+    assert pairs == pytest.approx(np.exp(-1), abs=0.12)
+    assert np.median(np.diff(found.time)) == pytest.approx(0.01, rel=0.02)

@@ -11,11 +11,20 @@ from mmqa_lab import bench, commands, samples, stats
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.metrics import METRICS, supports
 from mmqa_lab.metrics.registry import CURVES
+from mmqa_lab.simulate import Scene, rectangle
 from mmqa_lab.studies import fitness as study
 from mmqa_lab.studies import notebooks_folder
 from mmqa_lab.studies.fitness import acquisitions as make_cases
 from mmqa_lab.studies.fitness import curves, real, tasks, transfer
-from mmqa_lab.studies.fitness.acquisitions import KINDS, PLACES, _objects
+from mmqa_lab.studies.fitness.acquisitions import (
+    KINDS,
+    PLACES,
+    _cast,
+    _objects,
+    _path,
+    _rosette,
+    beam_radius,
+)
 
 SIDE = np.arange(-0.49, 0.491, 0.02)
 GRID = np.stack(np.meshgrid(SIDE, SIDE), axis=-1).reshape(-1, 2)
@@ -333,3 +342,77 @@ def test_a_chart_reaches_as_far_as_things_agree_with_it():
 def test_without_larger_clouds_there_are_no_boards(monkeypatch):
     monkeypatch.delenv("MMQA_DATA", raising=False)
     assert study.real_boards() == study.road_squares() == (None, None)
+
+
+def test_beams_average_over_their_width_and_relief_is_that_of_its_formulas(rng):
+    case = {"kind": "one head", "divergence_mrad": 1.2, "distance_m": 10.0}
+    assert beam_radius(case) == pytest.approx(0.33 * (0.005 + 0.012))
+    assert beam_radius(case | {"kind": "rosette"}) == 0
+    uv = rng.uniform(-0.5, 0.5, (50, 2))
+    mean = np.mean([uv[:, 0] + 0.1 * one for one in (0, 1, 0.5, -0.5, -1, -0.5, 0.5)], axis=0)
+    assert tasks.averaged(lambda at: at[:, 0], uv, 0.1) == pytest.approx(mean)
+    square = tasks.averaged(lambda at: (at**2).sum(axis=1), uv, 0.1)
+    assert square == pytest.approx((uv**2).sum(axis=1) + 6 / 7 * 0.01)
+
+
+def test_errors_of_cracks_kerbs_and_steps_are_what_was_built(rng):
+    uv = rng.uniform(-0.5, 0.5, (60_000, 2))
+    for depth in (0.020, 0.012):
+        z = np.where(np.abs(uv[:, 0]) < 0.02, -depth, 0.0)
+        assert tasks.crack_mm(uv, z) == pytest.approx(1000 * abs(0.02 - depth), abs=0.01)
+    for place in (0.0, 0.004):
+        z = np.where(uv[:, 0] > place, 0.015, 0.0)
+        assert tasks.kerb_mm(uv, z) == pytest.approx(1000 * place, abs=0.4)
+    assert tasks.step_mm(uv, np.where(uv[:, 0] > 0, 0.003, 0.0)) == pytest.approx(3)
+    full = -0.05 * np.maximum(1 - (uv**2).sum(axis=1) / 0.0625, 0)
+    assert tasks.pothole_percent(uv, full) == pytest.approx(0, abs=1.5)
+    assert tasks.pothole_percent(uv, 0.8 * full) == pytest.approx(20, abs=1.5)
+    assert tasks.relief_percent(uv, np.zeros(60_000), 0.0, 1) < 12
+    assert tasks.relief_percent(uv, np.full(60_000, tasks.HIGH_M), 0.0, 1) == pytest.approx(
+        100 * 2**0.5, rel=0.05
+    )
+
+
+def test_a_walk_steps_and_sways_about_its_straight_way():
+    case = {"kind": "walker", "speed_kmh": 5.0, "height_m": 1.7}
+    ends = np.array([[5.0, -6, 0], [5.0, 6, 0]])
+    path = _path(case, ends, np.random.default_rng(1))
+    reach = 1.2 * 5 + 6
+    along = path.position[:, 1]
+    assert abs(along[0] + reach) <= 0.5
+    assert np.diff(along) / np.diff(path.time) == pytest.approx(5 / 3.6)
+    assert np.ptp(along) == pytest.approx(2 * reach, rel=0.02)
+    for name, most, rate in (("roll", 3, 0.9), ("pitch", 2, 1.8), ("heading", 6, 0.2)):
+        values = getattr(path, name)
+        assert np.abs(values).max() == pytest.approx(most, rel=0.02), name
+        crossings = (np.diff(np.sign(values)) != 0).sum()
+        assert crossings == pytest.approx(2 * rate * path.duration_s, abs=1.5), name
+    assert np.abs(path.position[:, 0]).max() == pytest.approx(0.03, rel=0.02)
+    assert np.ptp(path.position[:, 2]) == pytest.approx(0.04, rel=0.02)
+    straight = _path(case | {"kind": "one head"}, ends, np.random.default_rng(1))
+    assert len(straight.time) == 2
+    assert straight.position[:, 2].tolist() == [1.7, 1.7]
+
+
+def test_a_rosette_fills_a_cone_of_seventy_degrees_and_noise_lies_along_beams():
+    wall = Scene([rectangle((8, -40, -40), (0, 80, 0), (0, 0, 80))])
+    case = {"speed_kmh": 0.02, "height_m": 0.0, "pulse_rate_hz": 400.0, "dropout": 0.25}
+    case |= {"jitter_deg": 0.0, "noise_mm": 0.0}
+    ends = np.array([[8.0, -0.5, -0.5], [8.0, 0.5, 0.5]])
+    rng = np.random.default_rng(2)
+    points, hit = _rosette(case, wall, ends, rng)
+    assert (hit == 0).all()
+    assert points[:, 0] == pytest.approx(8.0)
+    assert np.abs(points[:, 2]).max() < 2.5 + 1e-9
+    assert np.abs(points[:, 2]).max() > 2.4
+    # two prisms of 17.6 degrees add up to 8 m x 2 tan(17.6 degrees)
+    span = (0.5 + 0.8 * 8) + 8 * 2 * np.tan(np.radians(17.6))
+    assert np.abs(points[:, 1]).max() == pytest.approx(span, rel=0.03)
+    origins = np.zeros((4000, 3))
+    beams = np.tile([[0.8, 0.6, 0.0]], (4000, 1))
+    cast, _, there = _cast(case | {"noise_mm": 4.0}, wall, origins, beams, rng)
+    assert there.all()
+    ranges = cast @ [0.8, 0.6, 0.0]
+    assert ranges.std() == pytest.approx(0.004, rel=0.05)
+    assert ranges.mean() == pytest.approx(10, abs=3e-4)
+    assert np.abs(cast @ [0.6, -0.8, 0.0]).max() < 1e-9

@@ -1,8 +1,10 @@
 """The study of selections: its surfaces, operators, ranges, and checks that can fail."""
 
+import numpy as np
 import pandas as pd
 import pytest
 from conftest import spoiled
+from scipy.spatial.transform import Rotation
 
 from mmqa_lab import bench
 from mmqa_lab.chart_cloud import evaluate_cloud
@@ -115,3 +117,16 @@ def test_each_check_can_fail():
     for words, change in changes.items():
         (failed,) = spoiled("repeatability", whole | change)
         assert failed.startswith(words)
+
+
+def test_a_surface_is_outlined_around_its_middle_along_its_own_axes(rng):
+    turn = Rotation.from_euler("xyz", [20, -35, 60], degrees=True).as_matrix()
+    local = np.column_stack([rng.uniform(-1, 1, 4000), rng.uniform(-0.4, 0.4, 4000), 0 * turn[0, 0]
+                             + 0.002 * rng.standard_normal(4000)])  # fmt: skip
+    found = study._outlined(local @ turn.T + [7, 8, 9], 0.8, 0.5)
+    corners = (found.corners - [7, 8, 9]) @ turn
+    assert np.abs(np.abs(corners[:, 0]) - 0.4).max() < 0.04
+    assert np.abs(np.abs(corners[:, 1]) - 0.25).max() < 0.04
+    assert np.abs(corners[:, 2]).max() < 0.002
+    sides = np.linalg.norm(np.roll(found.corners, -1, axis=0) - found.corners, axis=1)
+    assert sides == pytest.approx([0.8, 0.5, 0.8, 0.5])

@@ -119,3 +119,29 @@ def test_each_check_can_fail(comparison):
     for words, change in changes.items():
         (failed,) = spoiled("specifications", whole | change)
         assert failed.startswith(words)
+
+
+def test_candidates_of_b_pass_at_both_distances_and_those_of_c_at_5_m(monkeypatch):
+    asked = []
+
+    def measured(cases, seeds):
+        asked.append((cases, seeds))
+        return pd.DataFrame({name: cases["distance_m"] + k for k, name in enumerate(study.FITTED)})
+
+    monkeypatch.setattr(study, "measure", measured)
+    values = pd.DataFrame({"tilt_deg": [1.0, 2.0, 3.0]})
+    found = study.simulated(values, system="B", seed=4)
+    assert found.shape == (3, 2, len(study.FITTED))
+    assert found[:, 0, 0].tolist() == [5, 5, 5]
+    assert found[:, 1, 1].tolist() == [11, 11, 11]
+    assert asked[0][1] == [4]
+    assert asked[0][0]["tilt_deg"].tolist() == [1, 1, 2, 2, 3, 3]
+    assert study.simulated(values, system="C", seed=4).shape == (3, 1, len(study.FITTED))
+
+
+def test_noise_of_a_scanner_is_scaled_to_the_published_precision(monkeypatch):
+    read = pd.DataFrame({"precision_mm": [2.0, 4.0]})
+    monkeypatch.setattr(study, "measure", lambda *_, **__: read)
+    target = pd.DataFrame({"precision_mm": [6.0, 9.0]})
+    found = study.fitted_noise("A", {}, target, seed=1)
+    assert found == {"range_noise_m": pytest.approx(2.5 * study.SENSORS["A"].range_noise_m)}

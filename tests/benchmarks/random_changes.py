@@ -48,6 +48,11 @@ EQUIVALENT = {
     ("test_field/drives.py", "figures", "1e-300", "(2e-300)"): "it keeps a logarithm finite",
     ("simulate/systems.py", "_crowded", "points - points.min(axis=0)",
      "(points + points.min(axis=0))"): "cubes from any other place do",
+    ("chart_image/maps.py", "ChartMap.chart", "places - before",
+     "(places + before)"): "when a search ends",
+    ("lines/displacement_search.py", "_best_path", "path[station + 1] + i * strides[0]",
+     "(path[station + 1] - i * strides[0])"): "the same places in another order",
+    ("cloud.py", "unit_remarks", "7", "(14)"): "how many places are looked at",
     ("simulate/point_patterns.py", "point_pattern", "size * np.sqrt(0.5)",
      "(size / np.sqrt(0.5))"): "a wider field is drawn, of which the same square is cut",
 }  # fmt: skip
