@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from mmqa_lab import poles
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.poles import common, fgi, itc, learned, measures
+from mmqa_lab.poles import axes, common, fgi, itc, learned, measures
 from mmqa_lab.poles.learned import FILE, OF_STREETS, read
 from mmqa_lab.simulate import streets
 
@@ -462,3 +462,118 @@ def test_a_width_is_that_of_the_inner_points_across_the_widest_way():
     bar = np.column_stack([np.linspace(-0.2, 0.2, 401), np.zeros(401)])
     of, off = np.repeat([0, 2, 3], [400, 401, 1]), np.concatenate([ring, bar, [[0.3, 0.4]]])
     assert measures._width(of, off, 5) == pytest.approx([0.2, 0, 0.95 * 0.4, 0, 0], abs=1e-3)
+
+
+def test_measures_of_a_section_are_those_of_plain_loops(rng):
+    a = rng.integers(0, 3, 400)
+    off = rng.normal(size=(400, 2)) * [[0.1, 0.03]] + [[0.2, -0.1]]
+    mean, turn, size = measures._scatter(a, off, 4)
+    arcs = measures._arcs(a, off, 4)
+    away = measures._off_line(a, off, 4)
+    height = rng.uniform(0, 3, 400)
+    across = np.hypot(*off.T)
+    head = measures._head(a, across, height, 4)
+    for k in range(3):
+        own = off[a == k]
+        values, vectors = np.linalg.eigh(np.cov(own.T, ddof=0))
+        assert mean[k] == pytest.approx(own.mean(axis=0))
+        assert size[k] == pytest.approx(np.sqrt(values[1]))
+        way = [np.cos(turn[k]), np.sin(turn[k])]
+        assert abs(way @ vectors[:, 1]) == pytest.approx(1)
+        assert away[k] == pytest.approx(abs(own.mean(axis=0) @ [-way[1], way[0]]))
+        sector = np.floor(np.degrees(np.arctan2(own[:, 1], own[:, 0])) % 360 / 360 * measures.ARCS)
+        assert arcs[k] == len(set(sector)) / measures.ARCS
+        below = height[a == k].max() - height[a == k]
+        upper, lower = (below > 0.08) & (below < 0.28), below >= 0.28
+        assert head[k] == pytest.approx(across[a == k][upper].mean() / across[a == k][lower].mean())
+    assert arcs[3] == 0
+    assert (head[3], away[3]) == (1, measures.REACH_M)
+
+
+def test_what_stands_one_to_four_metres_away_is_seen_by_direction_and_height(rng, uncompiled):
+    uncompiled(measures)
+    coarse = np.column_stack([rng.uniform(-6, 6, (300, 2)), rng.uniform(0, 12, 300)])
+    axes = np.column_stack([rng.uniform(-2, 2, (3, 2)), np.zeros((3, 3))])
+    found = measures._wide(coarse, axes)
+    bands = np.digitize(coarse[:, 2], measures.BANDS_M)
+    for k in range(3):
+        off = coarse[:, :2] - axes[k, :2]
+        away = np.hypot(*off.T)
+        near = (away > 1) & (away < measures.WIDE_M)
+        turn = np.degrees(np.arctan2(off[:, 1], off[:, 0])) % 360
+        sector = (turn / 360 * measures.ARCS).astype(int)
+        for band, name in enumerate(("low", "mid", "high", "top")):
+            seen = len(set(sector[near & (bands == band)]))
+            assert found[f"around_{name}"][k] == pytest.approx(seen / measures.ARCS)
+
+
+@pytest.mark.parametrize("covered", [2 * np.pi, 2.2])
+def test_circles_of_candidates_are_those_of_a_search(covered, rng):
+    a, off = np.repeat([0, 1], 80), np.zeros((160, 2))
+    for k, radius in enumerate((0.08, 0.25)):
+        turn = rng.uniform(0, covered, 80)
+        ways = np.column_stack([np.cos(turn), np.sin(turn)])
+        off[a == k] = [0.1, -0.2 * k] + (radius + 1e-4 * rng.normal(size=80))[:, None] * ways
+    centre, radius, rough = axes.circles(a, off, 3, steps=40, hold=1e-6)
+    assert radius[:2] == pytest.approx([0.08, 0.25], abs=5e-4)
+    assert centre[:2] == pytest.approx(np.array([[0.1, 0], [0.1, -0.2]]), abs=5e-4)
+    assert rough[:2] == pytest.approx([1e-4, 1e-4], rel=0.4)
+    loose = axes.circles(a[:80], np.column_stack([np.linspace(-1, 1, 80), np.zeros(80)]), 1)
+    assert loose[1][0] <= axes.WIDEST_M
+
+
+def test_axes_lean_as_their_points_do_whatever_stands_aside(rng):
+    rise = rng.uniform(0, 4, 300)
+    post = np.column_stack([5 + 0.1 * rise, 7 - 0.05 * rise, rise])
+    post[:, :2] += 0.004 * rng.normal(size=(300, 2))
+    aside = np.column_stack([5.4 + 0 * rise[:60], 7 + 0 * rise[:60], rise[:60]])
+    points = np.concatenate([post, aside])
+    thin = common.Thin(points, points[:, 2], points)
+    near = np.array([[5.2, 6.9]])
+    (found,) = axes.fit_axes(thin, near, np.array([0.06]))
+    middle = found[4]
+    assert found[2:4] == pytest.approx([0.1, -0.05], abs=0.01)
+    assert found[:2] == pytest.approx([5 + 0.1 * middle, 7 - 0.05 * middle], abs=0.02)
+    assert middle == pytest.approx(2, abs=0.2)
+
+
+def test_thinned_points_are_the_means_of_voxels_with_their_heights(rng):
+    points = rng.uniform(0, 2, (3000, 3)) * [1, 1, 9] + [10, 20, 3]
+    thin = common.thinned(points, lambda xy: 2.0 + 0 * xy[:, 0])
+    size = common.VOXEL_M
+    voxel = np.floor((points + size * np.array(common.PLACES[0][:3])) / size)
+    means = pd.DataFrame(points).groupby([*voxel.T]).mean().to_numpy()
+    order = np.lexsort(means.T)
+    assert thin.points[np.lexsort(thin.points.T)] == pytest.approx(means[order])
+    assert thin.height == pytest.approx(np.clip(thin.points[:, 2] - 2, 0, 16 - 1e-6), abs=1e-5)
+    coarse = np.column_stack([np.floor(thin.points[:, :2] / common.COARSE_M),
+                              np.floor(thin.height / 0.5)])  # fmt: skip
+    expected = (np.unique(coarse, axis=0) + 0.5) * [common.COARSE_M, common.COARSE_M, 0.5]
+    assert np.array_equal(np.unique(thin.coarse.round(6), axis=0), expected.round(6))
+
+
+def test_points_on_the_plots_around_an_axis_are_all_there(rng):
+    points = rng.uniform(-20, 20, (4000, 3))
+    spots = np.array([[3.0, -4.0], [11.0, 9.0]])
+    kept = common.around(points, spots)
+    plot = np.floor(points[:, :2] / common.PLOT_M)
+    near = (np.abs(plot[:, None] - np.floor(spots / common.PLOT_M)) <= 1).all(axis=2).any(axis=1)
+    assert {*map(tuple, points[near])} <= {*map(tuple, kept)}
+    assert len(kept) <= near.sum() + 40
+
+
+def test_stretches_of_one_pole_are_merged_and_those_aside_are_not(rng):
+    def stretch(x, low, high):
+        z = np.linspace(low, high, 40)
+        return np.column_stack([x + 0.03 * rng.normal(size=40), 0.03 * rng.normal(size=40), z])
+
+    parts = [stretch(0, 0, 1.5), stretch(0, 1.9, 3.5), stretch(1.5, 0, 1.5), stretch(0, 30, 32)]
+    points, member = np.concatenate(parts), np.repeat(np.arange(4), 40)
+    found = fgi._merged(points, member)
+    first = [found[member == k][0] for k in range(4)]
+    assert first[0] == first[1]
+    assert len({first[0], first[2], first[3]}) == 3
+    axis = np.array([1.0, 2, 3]), np.array([0.6, 0, 0.8])
+    along, across = fgi._about(np.array([[1.6, 2, 3.8], [1.0, 5, 3]]), axis)
+    assert along == pytest.approx([1, 0])
+    assert across == pytest.approx([0, 3])
