@@ -130,12 +130,13 @@ def _plotter(points, values, label, limit=None):
         _add_shaded(plotter, pyvista.PolyData(local), values, label, limit)
     extent, box, ranges, shown = np.ptp(local, axis=0), [], [], {}
     for k, (axis, title) in enumerate(zip("xyz", TITLES, strict=True)):
-        room = extent[k] >= 0.1 * extent.max()  # for numbers
-        ends = low[k] + np.array([0.0, extent[k]])
-        ticks = _round_ticks(*ends, round(5 * extent[k] / extent.max()))
+        ends, share = low[k] + np.array([0.0, extent[k]]), extent[k] / extent.max()
+        ticks = _ticks_in(*ends, share)
+        room = len(ticks) > 1  # for numbers
+        title = title if room else title.replace(" (", f" {ends[0]:.9g} (") if share > 0.1 else " "
         ranges += [*(ticks[[0, -1]] if room else ends)]
         box += [one - low[k] for one in ranges[-2:]]
-        shown |= {f"{axis}title": title if room else " ", f"show_{axis}axis": room}
+        shown |= {f"{axis}title": title, f"show_{axis}axis": share > 0.1}
         shown |= {f"show_{axis}labels": room, f"n_{axis}labels": len(ticks)}
     look = {"font_size": 12, "location": "outer", "fmt": "%.9g"}
     plotter.show_bounds(bounds=box, axes_ranges=ranges, **shown, **look)
@@ -153,6 +154,15 @@ def _add_shaded(plotter, points, values, label, limit):
     bar = {"title": f"{label}\n", "n_labels": len(marks), "fmt": "%.4g", "position_x": 0.2}
     shades = {"scalars": values, "clim": marks[[0, -1]], "cmap": cmap, "point_size": 4}
     plotter.add_points(points, **shades, scalar_bar_args=bar)
+
+
+def _ticks_in(low, high, share):
+    """Ticks of an axis that is so large a share of the longest, which has 40 characters of room."""
+    most = min(5, int(40 * share / (1 + len(f"{high:.9g}".split(".")[0]))))
+    if most < 1:
+        return np.empty(0)
+    ticks = _round_ticks(low, high, most)
+    return ticks if len(ticks) <= most + 1 else ticks[[0, -1]]
 
 
 def _round_ticks(low, high, most=4):

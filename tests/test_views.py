@@ -17,6 +17,18 @@ def test_the_view_shows_the_cloud(rng, tmp_path):
 
 
 @pytest.mark.skipif(not views.can_render(), reason="needs the OpenGL libraries of the README")
+def test_long_numbers_of_a_national_grid_do_not_cover_each_other(rng):
+    tall = rng.uniform(0, 1, (500, 3)) * [1, 2.8, 6.2] + [2_683_213.5, 1_247_903.2, 408.5]
+    axes = views._plotter(tall, tall[:, 2], "height (m)").renderer.cube_axes_actor
+    shown = axes.x_labels, axes.y_labels, axes.z_labels
+    # the longest axis has room for some 40 characters
+    for labels, share in zip(shown, (1 / 6.2, 2.8 / 6.2, 1), strict=True):
+        assert sum(map(len, labels)) <= 40 * share
+    assert float(shown[1][0]) <= 1_247_903.3
+    assert axes.x_title.startswith("easting 2683213.5")  # no room for numbers, so it is named
+
+
+@pytest.mark.skipif(not views.can_render(), reason="needs the OpenGL libraries of the README")
 @pytest.mark.parametrize("shell", [None, object()])
 def test_a_view_is_the_notebooks_wherever_it_is_asked_for(shell, monkeypatch):
     """IPython tells only the code of a cell where it runs, not the function of a button."""
