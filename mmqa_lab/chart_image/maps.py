@@ -26,6 +26,9 @@ __all__ = [
 
 UNDISTORT = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 100, 1e-10)
 
+# Both take a criterion, in OpenCV 4 under the first name and in OpenCV 5 under the second.
+_undistorted = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)
+
 
 @dataclass(frozen=True, eq=False)
 class ChartMap:
@@ -248,7 +251,8 @@ class LensCamera:
     def rays(self, pixels: ArrayLike) -> np.ndarray:
         """Return the directions of pixels, shape (n, 3)."""
         pixels = np.array(pixels, dtype=float).reshape(-1, 1, 2)
-        flat = cv2.undistortPoints(pixels, self.matrix, self.distortion, criteria=UNDISTORT)
+        same = {"R": np.eye(3), "P": np.eye(3)}
+        flat = _undistorted(pixels, self.matrix, self.distortion, **same, criteria=UNDISTORT)
         return np.insert(flat[:, 0], 2, 1.0, axis=1)
 
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
-from scipy.special import stdtrit
 
 from mmqa_lab._checks import check_count, check_row, check_together, real_array, refuse
 from mmqa_lab._results import Shown
@@ -124,6 +123,8 @@ def student_reach(std: ArrayLike, freedom: ArrayLike) -> np.ndarray:
     std, freedom = real_array(std, "std"), real_array(freedom, "freedom")
     apart = {np.shape(std), np.shape(freedom)} - {()}
     refuse(len(apart) > 1, "std", f"shape {np.shape(std)}", f"as freedom, {np.shape(freedom)}")
+    from scipy.special import stdtrit  # a third of the time in which a chart is imported
+
     return stdtrit(np.where(np.greater(freedom, 0), freedom, np.nan), 0.975) * std
 
 
