@@ -107,7 +107,8 @@ def show_cloud(
 
     choices: dict = {"jupyter_backend": "static"}
     if not is_headless():
-        choices = {"jupyter_backend": "server", "jupyter_kwargs": {"collapse_menu": True}}
+        look = {"collapse_menu": True, "width": "100%"}  # of the cell, without a bar to scroll
+        choices = {"jupyter_backend": "server", "jupyter_kwargs": look}
         # it would download code from the network when the first view opens
         sys.modules.setdefault("trame.widgets.vtklocal", None)  # type: ignore[arg-type]
     return _plotter(points, values, label, limit).show(return_viewer=True, **choices)

@@ -1,6 +1,7 @@
 """The polygon and the list of planes without a browser: what they compute, keep and say."""
 
 import io as streams
+import itertools
 import threading
 from contextlib import redirect_stdout
 
@@ -362,6 +363,16 @@ def test_the_list_of_planes_is_as_wide_as_its_box(room, screen):
     assert any("wall facing NW" in text for text, _ in tool._list.options)
     assert max(len(text) for text, _ in tool._list.options) <= 45  # of 292 pixels
     assert "wall facing north-west" in set(tool.planes["kind"])
+
+
+def test_eastings_of_a_national_grid_stand_beside_each_other(rng, screen):
+    wall = rng.uniform(0, 1, (3000, 3)) * [9.7, 0.01, 9.1] + [4_464_120.6, 5_333_972.7, 515]
+    tool = widgets.SurfaceTool({"wall": wall}, size=1)
+    tool._scene.draw_without_rendering()
+    (low, high), texts = tool._scene.axes[0].get_xlim(), tool._scene.axes[0].get_xticklabels()
+    boxes = [one.get_window_extent() for one in texts if low <= one.get_position()[0] <= high]
+    assert len(boxes) > 1
+    assert all(one.x1 < other.x0 for one, other in itertools.pairwise(boxes))
 
 
 def test_storeys_are_counted_by_their_floors_and_a_pavement_is_no_ceiling(room, rng, screen):

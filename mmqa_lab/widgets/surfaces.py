@@ -222,7 +222,8 @@ class SurfaceTool(SelectionTool):
         self._scene_dots = ax.scatter(*shown[:, [across, up]].T, s=3, lw=0)
         ax.set(xlabel=f"{AXES[across]} (m)", ylabel=f"{AXES[up]} (m)")
         ax.ticklabel_format(useOffset=False, style="plain")
-        ax.locator_params(nbins=5)
+        ax.locator_params("y", nbins=5)
+        ax.locator_params("x", nbins=3, steps=[1, 2, 5, 10])  # room for numbers of a national grid
         forget_zoom(self._scene)
         rows = self.planes[self.planes["cloud"] == self.name].head(LISTED)
         rows = rows[rows["points"] >= LISTED_SHARE * rows["points"].max()].to_dict("records")
