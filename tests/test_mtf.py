@@ -14,6 +14,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.optimize import brentq
 from scipy.special import j0, ndtr
 
+from mmqa_lab.mtf import doubts as mtf_doubts
 from mmqa_lab.mtf import (
     edges,
     fit_edge,
@@ -21,6 +22,7 @@ from mmqa_lab.mtf import (
     measure_star,
     read_bars,
     resolving_power,
+    stars,
     transfer,
 )
 from mmqa_lab.mtf.transfer import spread_edge
@@ -544,3 +546,135 @@ def test_light_that_slopes_on_either_side_is_taken_out_to_the_step(tail, rng):
     assert abs(left[far & (across < 0)].mean()) < 0.0022
     noisy = edges._noise(across, even, 0.6)
     assert np.median(noisy[across < -1]) == pytest.approx(0.002 / 0.8, rel=0.4)
+
+
+def star_pixels(place=(30.3, 29.1, 0.0, 0.0), n=12, radius=28.0, levels=(0.2, 0.8), size=60):
+    """Pixels of a star without any blur, with its sectors' share of each pixel."""
+    fine = 8
+    at = (np.arange(size * fine) + 0.5) / fine - 0.5
+    x, y = np.meshgrid(at, at)
+    r, azimuth = stars._polar((x, y), place)
+    bright = (np.cos(n * azimuth) > 0) & (r < radius)
+    image = bright.reshape(size, fine, size, fine).mean(axis=(1, 3))
+    image = levels[0] + (levels[1] - levels[0]) * image
+    x, y = np.meshgrid(np.arange(float(size)), np.arange(float(size)))
+    return x.ravel(), y.ravel(), image.ravel()
+
+
+def test_an_ellipse_of_a_tilted_star_is_made_round_and_its_tilt_is_told():
+    turn = np.linspace(0, 6, 9)
+    for degrees, way in ((0, 0.3), (25, 0.3), (50, -1.1)):
+        shrink = np.cos(np.radians(degrees))
+        # a circle seen narrower along a direction, then scaled to the same area
+        c, s = np.cos(way), np.sin(way)
+        along, across = np.cos(turn) * shrink, np.sin(turn)
+        x, y = 5 + along * c - across * s, 7 + along * s + across * c
+        stretch = (1 - shrink) / (1 + shrink)
+        place = (5, 7, stretch * np.cos(2 * way), stretch * np.sin(2 * way))
+        r, _ = stars._polar((x, y), place)
+        assert np.ptp(r) < 1e-9
+        assert stars._tilt(place) == pytest.approx(degrees, abs=1e-6)
+
+
+def test_levels_of_sectors_are_those_in_their_middle_and_waves_have_their_amplitudes(rng):
+    place, n = (30.3, 29.1, 0.0, 0.0), 12
+    pixels = star_pixels(place, n)
+    levels, borders, _ = stars._plain_levels(pixels, place, n, 28.0)
+    assert levels == pytest.approx([0.2, 0.8], abs=0.01)
+    assert (borders > 0).all()
+    r, azimuth = stars._polar(pixels, place)
+    ripple = 0.5 + 0.13 * np.cos(n * azimuth) - 0.07 * np.sin(n * azimuth)
+    ripple = ripple + 0.04 * np.cos(2 * n * azimuth) + 0.02 * np.sin(3 * n * azimuth)
+    waved = (*pixels[:2], ripple + 0.002 * rng.standard_normal(len(r)))
+    found, error = stars._ring(waved, place, n, 20.0)
+    # the second harmonic is no term of the ring's fit: it is noise that even sectors average out
+    assert found == pytest.approx([0.13, -0.07], abs=4 * error)
+    inside = np.abs(r - 20) < 1
+    assert error == pytest.approx(np.sqrt(0.04**2 / 2) / np.sqrt(inside.sum() / 2), rel=0.35)
+    size = np.hypot(0.13, 0.07)
+    found = stars._harmonics(waved, place, n, 20.0)
+    assert found == pytest.approx([0.04 / size, 0.02 / size], abs=0.01)
+    parts = stars._outer_parts(waved, place, n, 28.0)
+    assert len(parts) == stars.STAR_PARTS
+    assert np.abs(parts - (0.13 + 0.07j) / 2).max() < 0.02
+
+
+def test_the_centre_and_the_ellipse_of_a_star_are_refined_to_where_it_is():
+    true = (30.3, 29.1, 0.06, -0.04)
+    r, azimuth = stars._polar(star_pixels(true)[:2], true)
+    falls = np.exp(-((12 / (2 * np.pi * np.maximum(r, 1))) ** 2) * 3)
+    pixels = (*star_pixels(true)[:2], 0.5 + 0.3 * falls * np.cos(12 * azimuth + 0.4))
+    found = stars._refined(pixels, np.array([30.0, 29.5, 0.0, 0.0]), 12, np.array([8.0, 20.0]))
+    assert found == pytest.approx(np.array(true), abs=2e-3)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2])
+def test_the_lens_behind_contrasts_and_its_tail_are_told(share):
+    f = np.linspace(0.02, 0.35, 30)
+    plain = transfer.lens_mtf(transfer._gauss, 0.8, f)
+    contrast = 0.7 * plain * (1 - share + share * transfer.tail_mtf(stars.TAILS_PX[0] * f))
+    lens, tail = stars._lens_of(f, contrast)
+    assert lens(f) == pytest.approx(contrast / 0.7, rel=0.03)
+    assert tail == pytest.approx(share, abs=0.05)
+    borders = np.array([[5.0, 3.0], [5.0, 7.0]])
+    # a wide square wave behind a lens that takes nothing has pi / 4 of its fundamental
+    assert stars._plain_level(lambda q: 1.0 + 0 * q, borders) == pytest.approx(np.pi / 4, abs=0.04)
+    assert stars._plain_level(lambda q: (q < 0.06) * 1.0, borders) == pytest.approx(
+        np.mean(np.sin(np.pi * np.array([0.5, 0.3])))
+    )
+
+
+def fitted(distance, along, values, **known):
+    """An edge as the doubts look at it."""
+    places, means, count, variance = transfer.profile(distance, values)
+    sigmoid = transfer.spread_edge(distance, 0.7, 0.1)
+    given = {"distance": distance, "along": along, "values": values, "grey": values}
+    given |= {"bins": (places, means, count, variance), "residuals": values - sigmoid}
+    given |= {"spread": np.hypot(0.7, 12**-0.5), "width": 0.7, "angle": 0.1, "grain": 1e-3}
+    given |= {"length": np.ptp(along), "rounding": 0.0, "rounded_alike": False}
+    return SimpleNamespace(**(given | known))
+
+
+@pytest.fixture
+def grid():
+    """Places across and along an edge, many a pixel."""
+    across, along = np.meshgrid(np.arange(-16, 16, 0.13), np.arange(-30, 30, 0.5))
+    return across.ravel(), along.ravel()
+
+
+def test_an_edge_is_as_bent_as_its_places_scatter(grid):
+    across, along = grid
+    for size in (0.0, 0.15, 0.4):
+        off = size * np.sign(np.sin(along / 4))
+        values = transfer.spread_edge(across - off, 0.7, 0.1)
+        fit = fitted(across, along, values)
+        assert mtf_doubts.bend(fit) * fit.spread == pytest.approx(size, rel=0.2, abs=0.02), size
+    tilted = transfer.spread_edge(across - 0.004 * along, 0.7, 0.1)  # is no bend
+    assert mtf_doubts.bend(fitted(across, along, tilted)) < 0.02
+
+
+def test_a_second_step_is_told_with_its_height_and_its_side(grid):
+    across, along = grid
+    for place, height in ((8.0, 0.05), (-9.0, 0.1)):
+        values = transfer.spread_edge(across, 0.7, 0.1) + height * (across > place)
+        fit = fitted(across, along, values + 1e-6 * np.sin(1e4 * along))
+        side = 1 if place > 0 else -1
+        assert mtf_doubts.second_step(fit, side) == pytest.approx(height, rel=0.2)
+        assert mtf_doubts.second_step(fit, -side) < height / 20
+    slope = transfer.spread_edge(across, 0.7, 0.1) + 0.001 * np.maximum(across, 0)
+    assert mtf_doubts.second_step(fitted(across, along, slope), 1) < 0.01
+
+
+def test_lobes_and_halves_that_differ_are_told_by_their_size(grid):
+    across, along = grid
+    plain = transfer.spread_edge(across, 0.7, 0.1)
+    lobes = 0.06 * np.exp(-((np.abs(across) - 2.5) ** 2) / 2) * np.sign(across)
+    found = mtf_doubts.overshoot(fitted(across, along, plain + lobes))
+    assert found == pytest.approx(0.06, rel=0.25)
+    assert mtf_doubts.overshoot(fitted(across, along, plain)) < 0.005
+    assert mtf_doubts.overshoot(fitted(across, along, plain + np.abs(lobes))) < 0.02  # one side's
+    assert mtf_doubts.one_sided(fitted(across, along, plain)) < 0.003
+    odd = plain + 0.1 * np.exp(-((across - 1.5) ** 2))
+    assert 0.01 < mtf_doubts.one_sided(fitted(across, along, odd)) < 0.1
+    assert mtf_doubts.strangeness(fitted(across, along, plain)) <= 0
+    assert mtf_doubts.strangeness(fitted(across, along, odd)) == pytest.approx(0.1, rel=0.1)

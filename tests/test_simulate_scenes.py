@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmqa_lab import simulate
-from mmqa_lab.simulate import Scene, streets
+from mmqa_lab.simulate import Scene, scenes, streets
 from mmqa_lab.simulate.surfaces import disc, foliage
 
 FAR = np.array([1e7, -4e6, 300.0])
@@ -197,3 +197,54 @@ def test_what_stands_along_a_street_ends_where_its_truth_says(seed, side):
     low, high = extent_of(leaves)
     assert low[2] == pytest.approx(0.5 + truth["clear_height_m"], abs=0.4)
     assert (low[2] + high[2]) / 2 == pytest.approx(0.5 + truth["height_m"], abs=0.3)
+
+
+def test_rays_meet_cones_discs_and_rectangles_at_the_angle_of_their_normals(rng, uncompiled):
+    uncompiled(scenes)
+    place, axis = np.array([0.4, -0.2, 0.3]), unit(np.array([0.2, -0.3, 1.0]))
+    base, top, radii = place - 1.5 * axis, place + 1.5 * axis, (0.5, 0.2)
+    made = [
+        simulate.cylinder(base, top, radii[0], top_radius=radii[1]),
+        disc((0, 3, 0), (0.3, 1, 0.2), 0.8),
+        simulate.rectangle((-3, -1, -1), (0.3, 2, 0), (0, 0, 2)),
+    ]
+    aims = [place, np.array([0, 3, 0]), np.array([-2.85, 0, 0])]
+    for surface, aim in zip(made, aims, strict=True):
+        origin = rng.uniform(-6, 6, (60, 3))
+        hits = Scene([surface]).cast(origin, aim + 0.3 * rng.standard_normal((60, 3)) - origin)
+        assert np.isfinite(hits.range_m).sum() > 15
+    origin = rng.uniform(-6, 6, (200, 3))
+    way = unit(place + 0.4 * rng.standard_normal((200, 3)) - origin)
+    hits = Scene(made[:1]).cast(origin, way)
+    met = np.isfinite(hits.range_m)
+    points = (origin + hits.range_m[:, None] * way)[met]
+    along = (points - place) @ axis
+    off = points - place - along[:, None] * axis
+    cap = np.abs(along) > 1.5 - 1e-9
+    assert 2 < cap.sum() < 30
+    radius = 0.35 - 0.1 * along  # from 0.5 to 0.2 over 3 m
+    assert np.linalg.norm(off, axis=1)[~cap] == pytest.approx(radius[~cap])
+    assert (np.linalg.norm(off, axis=1) <= radius + 1e-9).all()
+    assert np.abs(along).max() <= 1.5 + 1e-9
+    normal = np.where(cap[:, None], axis, unit(unit(off) + 0.1 * axis))
+    assert hits.cosine[met] == pytest.approx(np.abs((normal * way[met]).sum(axis=1)))
+    # the first of both crossings of |off|^2 = radius^2, where it lies on the shaft
+    for k in np.flatnonzero(met)[~cap]:
+        t = np.linspace(0, 14, 4001)
+        at = origin[k] + t[:, None] * way[k] - place
+        high = at @ axis
+        inside = np.linalg.norm(at - high[:, None] * axis, axis=1) - (0.35 - 0.1 * high)
+        through = np.flatnonzero((np.diff(np.sign(inside)) != 0) & (np.abs(high[1:]) < 1.49))
+        if len(through):
+            assert hits.range_m[k] == pytest.approx(t[through[0]], abs=0.01)
+    flat = Scene(made[1:])
+    normals = unit(np.array([[0.3, 1, 0.2], [2, -0.3, 0.0]]))
+    for normal, aim in zip(normals, aims[1:], strict=True):
+        way = unit(0.2 * rng.standard_normal((60, 3)) - 5 * normal)
+        start = aim + 0.2 * rng.standard_normal((60, 3)) + 2 * normal
+        hits = flat.cast(start, way)
+        met = np.isfinite(hits.range_m)
+        assert met.sum() > 10
+        there = start + hits.range_m[:, None] * way - aim
+        assert np.abs((there @ normal)[met]).max() < 1e-9
+        assert hits.cosine[met] == pytest.approx(np.abs(way @ normal)[met])

@@ -10,6 +10,7 @@ from scipy.stats import t
 
 from mmqa_lab import io
 from mmqa_lab.cloud import path_distance
+from mmqa_lab.simulate import test_field as made
 from mmqa_lab.test_field import (
     compare_heights,
     height_accuracy,
@@ -273,3 +274,58 @@ def test_targets_without_a_column_or_a_row_are_refused(ground):
 def test_a_thinned_cloud_keeps_the_point_next_to_the_middle_of_each_cell():
     cells = np.array([[0.1, 0.1, 0], [0.5, 0.6, 1], [0.9, 0.9, 2], [1.9, 0.1, 3], [1.4, 0.5, 4]])
     assert thinned(cells, 1.0)[:, 2].tolist() == [1, 4]
+
+
+def test_the_street_of_the_field_has_its_things_where_they_are_stated():
+    length, rng = 120.0, np.random.default_rng(2)
+    table, shafts = made._poles(length, rng)
+    assert len(table) == len(shafts) == 3 * len(np.arange(6, length - 4, 12))
+    lamp = table["name"].str.startswith("lamp")
+    assert table["diameter_m"].tolist() == np.where(lamp, 0.14, 0.06).tolist()
+    tops = np.array([(one.centre + one.half)[:, 2].max() for one in shafts])
+    assert tops == pytest.approx(made.CURB_M + np.where(lamp, 8.0, 3.0))
+    assert (table["z_m"] == made.CURB_M).all()
+    strips = np.repeat([0, 1, 2], len(table) // 3)
+    low = np.array([made.ROAD_HALF_M + 0.6] * 2 + [10.0])[strips]
+    wide = np.array([2.6, 2.6, 24.0])[strips]
+    side = np.array([-1, 1, -1])[strips]
+    assert (table["x_m"] * side).between(low, low + wide).all()
+    nominal = np.tile(np.arange(6, length - 4, 12.0), 3)
+    assert np.abs(table["y_m"] - nominal).max() <= 1.5
+    houses, corners = made._houses(length, rng)
+    found = np.array([corner[:2] for corner in corners]).reshape(-1, 2, 2)
+    assert len(found) == len(houses)
+    assert {corner[2:] for corner in corners} == {(made.CURB_M, "building")}
+    for sign, front, recess in ((-1, 36.0, 9.0), (1, made.ROAD_HALF_M + made.PAVEMENT_M, 8.0)):
+        mine = found[np.sign(found[:, 0, 0]) == sign]
+        assert set(np.round(np.abs(mine[:, :, 0]).ravel(), 9)) <= {front, front + recess}
+        depth = mine[:, 1, 1] - mine[:, 0, 1]
+        assert (depth[:-1] >= 10).all()
+        assert (depth <= 16).all()
+        gaps = mine[1:, 0, 1] - mine[:-1, 1, 1]
+        assert ((gaps >= 3) & (gaps <= 6)).all()
+        assert 0 <= mine[0, 0, 1] <= 4
+        assert mine[-1, 1, 1] <= length
+    for house, (first, second) in zip(houses, found, strict=True):
+        low = (house.centre - house.half).min(axis=0)
+        high = (house.centre + house.half).max(axis=0)
+        assert (low[1], high[1]) == pytest.approx((first[1], second[1]))
+        assert sorted(np.abs([low[0], high[0]])) == pytest.approx(
+            [abs(first[0]), abs(first[0]) + 10]
+        )
+        assert 6 <= high[2] <= 12
+        assert low[2] == pytest.approx(0)
+    road, *boxes = made._road(length)
+    wide = np.abs(road.half[0])
+    assert wide[:2] == pytest.approx([made.ROAD_HALF_M, (length + 60) / 2])
+    ends = [((b.centre - b.half).min(axis=0), (b.centre + b.half).max(axis=0)) for b in boxes]
+    assert all((low[2], high[2]) == pytest.approx((0, made.CURB_M)) for low, high in ends)
+    sides = sorted((round(low[0], 6), round(high[0], 6)) for low, high in ends)
+    reach = made.ROAD_HALF_M + made.PAVEMENT_M
+    assert (-50.0, -made.ROAD_HALF_M) in sides
+    assert (made.ROAD_HALF_M, reach) in sides
+    outs = [one for one in sides if abs(one[1] - one[0] - 2) < 1e-6]
+    assert len(outs) == 2 * len(made._bays(length))
+    assert made._bays(75.0).tolist() == [[15, 21], [45, 51]]
+    cars = list(made._cars(length))
+    assert [np.round(np.mean(one.centre, axis=0)[1], 6) for one in cars] == [10, 32, 84]

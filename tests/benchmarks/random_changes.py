@@ -166,24 +166,28 @@ def own_files(tree, room):
 def asked(tree, room, file, function):
     """The tests that name a function, or for a private one what its file offers: quick ones first.
 
-    The examples of the file, the table of kinds, tests with the names, then the rest of a test
+    The examples of the file, tests with its own name, the table of kinds, tests with the names of
+    its file, then the rest of a test
     file that has one of them, then the room's others, as far as the time goes.
     """
     source = (tree / "mmqa_lab" / file).read_text("utf-8")
     words = [one for one in function.split(".") if one and one[0] != "_"]
+    by_name = re.compile(rf"\b{function.split('.')[-1] or room}\b")
     words = words or re.findall(r"^(?:def|class) ([a-zA-Z]\w*)", source, re.MULTILINE)
     words = words or [room]
     naming, kinds = re.compile(rf"\b({'|'.join(words)})\b"), tree / "tests/test_kinds.py"
     rows = re.findall(rf'of\("{room}", "([\w:]+)"', kinds.read_text("utf-8"))
     named = [f"tests/test_kinds.py::test_kinds[{room}.{one}]" for one in rows if naming.search(one)]
-    rest, others = [], [f"tests/test_kinds.py::test_kinds[{room}.{one}]" for one in rows]
+    first, rest, others = [], [], [f"tests/test_kinds.py::test_kinds[{room}.{one}]" for one in rows]
     for path, text in own_files(tree, room):
         for node in ast.parse(text).body:
             if isinstance(node, ast.FunctionDef) and node.name.startswith("test_"):
-                within = naming.search(ast.get_source_segment(text, node))
-                place = named if within else rest if naming.search(text) else others
+                within = ast.get_source_segment(text, node)
+                place = rest if naming.search(text) else others
+                place = named if naming.search(within) else place
+                place = first if by_name.search(within) else place
                 place.append(f"tests/{path.name}::{node.name}")
-    return list(dict.fromkeys([f"mmqa_lab/{file}", *named, *rest, *others]))
+    return list(dict.fromkeys([f"mmqa_lab/{file}", *first, *named, *rest, *others]))
 
 
 def planted(tree, file, node, new, number):
