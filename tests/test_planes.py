@@ -188,3 +188,19 @@ def test_a_circle_with_a_free_radius_is_not_certain_where_points_scatter_by_a_se
         found = fit_circle(points)
         assert np.isfinite(found.std) == (share < 0.15), share
         assert np.isfinite(fit_circle(points, diameter=0.04).std)
+
+
+def test_the_deviation_of_a_circle_is_that_of_its_residuals_with_two_degrees_less(rng):
+    turn = np.linspace(0, 4, 11)
+    for off in (2e-4 * rng.standard_normal(11), 2e-4 * np.r_[3, np.zeros(10)]):
+        ways = np.column_stack([np.cos(turn), np.sin(turn)])
+        circle = fit_circle((0.15 + off)[:, None] * ways, diameter=0.3)
+        points = (0.15 + off)[:, None] * ways
+        left = np.linalg.norm(points - circle.centre, axis=1) - 0.15
+        ways = (points - circle.centre) / np.linalg.norm(points - circle.centre, axis=1)[:, None]
+        inverse = np.linalg.inv(ways.T @ ways)
+        freedom = 11 - 2 - 2  # parameters, and two since the spread is uncertain itself
+        alike = left @ left / freedom * np.trace(inverse)
+        moved = ways * left[:, None] @ inverse
+        each = 11 / freedom * (moved**2).sum()
+        assert circle.std == pytest.approx(np.sqrt(max(alike, each) / 2), rel=1e-3)
