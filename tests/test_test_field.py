@@ -329,3 +329,16 @@ def test_the_street_of_the_field_has_its_things_where_they_are_stated():
     assert made._bays(75.0).tolist() == [[15, 21], [45, 51]]
     cars = list(made._cars(length))
     assert [np.round(np.mean(one.centre, axis=0)[1], 6) for one in cars] == [10, 32, 84]
+
+
+def test_poles_without_a_diameter_are_said_and_no_others(recwarn):
+    turn, height = np.meshgrid(np.arange(0, 2.6, 0.05), np.arange(0, 6, 0.05))
+    post = np.stack([0.1 * np.cos(turn), 0.1 * np.sin(turn), height], axis=-1).reshape(-1, 3)
+    targets = pd.DataFrame({"x_m": [0.0, 9.0], "y_m": 0.0, "z_m": 0.0, "diameter_m": [0.2, 0.2]})
+    plan_differences(post, targets)
+    plan_differences(post, targets.assign(kind=["pole", "curb"], diameter_m=[0.2, np.nan]))
+    assert not recwarn
+    for lacking in (targets.drop(columns="diameter_m"), targets.assign(diameter_m=[0.2, np.nan])):
+        n = 2 if "diameter_m" not in lacking else 1
+        with pytest.warns(UserWarning, match=f"^{n} of 2 poles have no diameter: seen from one"):
+            plan_differences(post, lacking)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 
 import numpy as np
@@ -127,6 +128,7 @@ def plan_differences(
             named |= {"x_m": target["x_m"], "y_m": target["y_m"], "height_m": (low + high) / 2}
             rows.append(named | dict(zip(("dx_m", "dy_m", "n", "reason"), found, strict=True)))
     table = pd.DataFrame(rows)
+    _say_free(targets)
     used = table["reason"] == ""
     difference = table[["dx_m", "dy_m"]] - table.loc[used, ["dx_m", "dy_m"]].median()
     off = np.hypot(difference["dx_m"], difference["dy_m"])
@@ -180,6 +182,18 @@ def plan_accuracy(table: pd.DataFrame) -> pd.DataFrame:
     for name, column in (("mean_east", "dx_m"), ("mean_north", "dy_m")):
         rows[0] |= mean_ends(name, difference[column], target)
     return pd.DataFrame(rows)
+
+
+def _say_free(targets):
+    """Say how many poles have no diameter: seen from one side their centres are off by some mm."""
+    poles = targets.get("kind", pd.Series("pole", targets.index)) == "pole"
+    sizes = targets.get("diameter_m", pd.Series(np.nan, targets.index))
+    free = int((poles & ~(sizes > 0)).sum())
+    if free:
+        told = f"{free} of {poles.sum()} poles have no diameter: seen from one side alone, their"
+        warnings.warn(
+            f"{told} centres lie some millimetres too far from the scanner.", stacklevel=3
+        )
 
 
 def _circle(xy, diameter):
