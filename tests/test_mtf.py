@@ -157,6 +157,21 @@ def test_a_star_that_no_lens_makes_says_why(kind, words, rng):
     assert re.search(words, "; ".join(found.remarks))
 
 
+@pytest.mark.parametrize(("amount", "said"), [(0.0, False), (0.4, True)])
+def test_a_star_that_a_camera_sharpens_mildly_says_so_by_its_noise(amount, said, rng):
+    image = render_star((190, 190), PointSpread(1.0), cycles=24, radius_px=85)
+    image += 0.015 * rng.standard_normal(image.shape)
+    image += amount * (image - gaussian_filter(image, 0.85))
+    found = measure_star(image, (94.5, 94.5), cycles=24, radius_px=85)
+    assert any(one.startswith("sharpened") for one in found.remarks) == said
+
+
+def test_a_star_of_few_grey_values_is_not_clipped(rng):
+    image = 0.28 + 0.16 * render_star((170, 170), PointSpread(0.8), cycles=24, radius_px=80)
+    image = np.round(255 * (image + 0.001 * rng.standard_normal(image.shape))) / 255
+    assert not measure_star(image, (84.5, 84.5), cycles=24, radius_px=80).remarks
+
+
 TAILS = [(0.3, 1.0), (0.15, 2.0), (0.1, 4.0)]
 
 

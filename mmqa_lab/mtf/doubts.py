@@ -45,9 +45,10 @@ STAR_PARTS, LARGEST_DRIFT, SEEN_SHARE = 12, 1.5, 0.7
 """Parts of the circle in which the outer wave is compared: its phase may differ by so many radians,
 and its contrast in a part that is not hidden is at least this share of the others'."""
 
-ADDED, TAILED = -0.3, 0.08
+ADDED, TAILED, OPPOSED = -0.3, 0.08, -0.02
 """Share of light that only sharpening moves from a lens's tails into its middle; error of a star
-behind tails, of which its sectors do not show the levels."""
+behind tails, of which its sectors do not show the levels; correlation of the noise of neighbouring
+pixels that only sharpening makes so low."""
 
 UNLIKE, SQUARE, SHARPENED, BENT_PHASE = 0.06, 0.6, 0.025, 0.02
 """Share of a wave of twice the cycles; least share of the one of three times that square sectors
@@ -195,12 +196,13 @@ def _shares(fit):
     return places, (means - low) / (high - low), fit.grain / np.sqrt(np.median(count))
 
 
-def remarks_on_star(waves, clipped, harmonics, transfers, beyond, tail):
+def remarks_on_star(waves, clipped, harmonics, transfers, beyond, tail, alike):
     """Return what is said about a star.
 
     ``harmonics``: waves of twice and three times the cycles near the outline over the star's own;
     ``transfers``: what the lens leaves of them; ``beyond``: contrast above that of any lens;
-    ``tail``: share of light in a lens's tail, below zero what sharpening adds.
+    ``tail``: share of light in a lens's tail, below zero what sharpening adds; ``alike``:
+    correlation of the noise of neighbouring pixels, and of how many pairs.
     """
     faintest = np.abs(waves).min() / np.median(np.abs(waves))
     hidden = f"a part of the star is hidden: contrast {faintest:.0%} of the others'"
@@ -208,12 +210,13 @@ def remarks_on_star(waves, clipped, harmonics, transfers, beyond, tail):
     bent = "sectors are bent, as by a lens: MTF50 may be off by some per cent"
     unlike = harmonics[0] > UNLIKE * transfers[0]
     round_ = transfers[1] > 0.15 and harmonics[1] < transfers[1] / 3 * SQUARE
+    by_noise = alike[0] < OPPOSED - 3 / np.sqrt(alike[1])
     tails = f"{tail:.0%} of the light are in the tails of the lens: MTF50 may be off by"
     said = sentences(
         (faintest < SEEN_SHARE, hidden),
         (faintest >= SEEN_SHARE and _lag(waves) > BENT_PHASE, bent),
         (clipped, clips),
-        (beyond > SHARPENED or tail < ADDED, "sharpened: no lens transfers so much"),
+        (beyond > SHARPENED or tail < ADDED or by_noise, "sharpened: no lens transfers so much"),
         (tail > 0, f"{tails} {TAILED:.0%}"),
         (unlike and not clipped, "dark and bright sectors are unlike: MTF50 is too low"),
         (round_, "sectors have no plain middle, as of a sinusoidal star: MTF50 is too low"),
@@ -229,13 +232,17 @@ def _lag(waves):
     return float(np.abs(np.fft.fft(phase)[1])) * 2 / STAR_PARTS
 
 
-def clipped_side(black, white):
-    """Which side's pixels share one value though the other side's have noise; empty if neither."""
-    least = CUT / 10 * (white.mean() - black.mean())
+def clipped_side(black, white, rounding=0.0):
+    """Which side's pixels share one value though the other side's have noise; empty if neither.
+
+    Noise is what is more than ``rounding``, the distance of grey values.
+    """
+    step = white.mean() - black.mean()
+    least, noisy = max(CUT / 10 * step, rounding), max(CUT / 2 * step, rounding)
     both = ("black", black, np.min, white), ("white", white, np.max, black)
     for name, side, end, other in both:
         piled = np.mean(side == end(side)) > 0.1
-        if piled and (side.std() > 5 * least or other.std() > max(4 * side.std(), least)):
+        if piled and (side.std() > noisy or other.std() > max(4 * side.std(), least)):
             return name
     return ""
 

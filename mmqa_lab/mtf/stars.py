@@ -44,6 +44,9 @@ TAILS_PX, BY_TAIL = (1.0, 1.5, 2.0, 3.0, 4.0), 60.0
 """Widths of tails that may stand beside a lens's own shape; and by how many squares of a ring's
 noise one must lessen what is left."""
 
+LEAST_NOISE = 0.007
+"""Noise of a pixel, over the step between plain sectors, from which it tells of sharpening."""
+
 LEAST_CONTRAST = 0.3
 """Contrast from which a transfer above the best lens's is sharpening."""
 
@@ -240,7 +243,9 @@ def measure_star(
     model = np.abs(lens(frequency))
     above = scale * (amplitude - 3 * std) - model  # more than noise
     beyond = float(above[model > LEAST_CONTRAST].max(initial=0))
-    remarks = remarks_on_star(waves, clipped, waves_seen, square, beyond, tail)
+    soft = lens(0.5) < LEAST_CONTRAST / 2  # sharp ones leave waves beside noise
+    alike = _neighbours(pixels, place, n, radius, np.ptp(levels)) if soft else (0.0, 1)
+    remarks = remarks_on_star(waves, clipped, waves_seen, square, beyond, tail, alike)
     known = {"centre": centre, "tilt_deg": _tilt(place), "tail": tail, "remarks": remarks}
     return StarMtf(frequency, scale * amplitude, scale * std, rings, **known)
 
@@ -291,7 +296,9 @@ def _plain_levels(pixels, place, n, radius, clear=0.0):
     bright = from_peak < 0.25
     sides = [values[plain & ~bright], values[plain & bright]]
     levels = np.array([side.mean() for side in sides])
-    return levels, np.stack([near[plain], (width - near)[plain]]), clipped_side(*sides)
+    rounding = float(np.diff(np.unique(pixels[2])).min(initial=np.inf))
+    clipped = clipped_side(*sides, rounding)
+    return levels, np.stack([near[plain], (width - near)[plain]]), clipped
 
 
 def _outer_parts(pixels, place, n, radius):
@@ -371,6 +378,30 @@ def _ring(pixels, place, n, ring):
     variance = residuals @ residuals / max(len(values) - len(terms), 1)
     covariance = variance * np.linalg.pinv(design.T @ design)
     return coefficients[1:3], np.sqrt((covariance[1, 1] + covariance[2, 2]) / 2)
+
+
+def _neighbours(pixels, place, n, radius, step):
+    """Correlation of the noise of neighbouring pixels near the outline, and how many pairs.
+
+    Zero where there is too little noise: of what is left, too much are waves then.
+    """
+    r, azimuth = _polar(pixels, place)
+    outer = (r > 0.6 * radius) & (r < radius - PLAIN_PX)
+    x, y = (values[outer].astype(int) for values in pixels[:2])
+    r, azimuth, values = r[outer], azimuth[outer], pixels[2][outer]
+    left, ring = np.full((y.max() + 1, x.max() + 1), np.nan), np.floor(r / 2).astype(int)
+    for one in np.unique(ring):
+        part = np.flatnonzero(ring == one)
+        turns = np.outer(azimuth[part], n * np.arange(1, 10))
+        waves = np.column_stack([np.cos(turns), np.sin(turns)])
+        off = (r[part] - r[part].mean())[:, None]
+        design = np.column_stack([np.ones(len(part)), waves, off * waves])
+        known = np.linalg.lstsq(design, values[part], rcond=None)[0]
+        left[y[part], x[part]] = values[part] - design @ known
+    beside = np.concatenate([(left[:, 1:] * left[:, :-1]).ravel(), (left[1:] * left[:-1]).ravel()])
+    variance, pairs = np.nanmean(left**2), int(np.isfinite(beside).sum())
+    enough = variance > (LEAST_NOISE * step) ** 2
+    return (float(np.nanmean(beside) / variance) if enough else 0.0), pairs
 
 
 def _harmonics(pixels, place, n, ring):
