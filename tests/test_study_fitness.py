@@ -226,6 +226,14 @@ def test_what_a_surface_supports_grows_with_its_noise_and_is_silent_elsewhere():
     assert "outside of what was tried" in absurd.loc["step", "remarks"]
 
 
+def test_points_that_share_their_place_do_not_improve_what_a_surface_supports():
+    rng = np.random.default_rng(1)
+    points = np.column_stack([rng.random((3000, 2)), 0.005 * rng.standard_normal(3000)])
+    thrice = supports(evaluate_cloud(np.tile(points, (3, 1)), axes=0.0))
+    once = supports(evaluate_cloud(points, axes=0.0))
+    np.testing.assert_allclose(thrice["value"], once["value"], rtol=1e-9)
+
+
 def test_what_a_surface_supports_comes_from_the_stored_run():
     notebook = nbformat.read(notebooks_folder() / "12_fitness.ipynb", as_version=4)
     cell = next(one for one in notebook.cells if one.id == "fit-supported")
@@ -327,7 +335,11 @@ def test_the_advice_follows_real_clouds_and_then_the_worst_group():
     chosen = study.advice(table, real).iloc[0]
     assert (chosen["method"], chosen["near_in"]) == ("r", "x")
     chosen = study.advice(table[table["method"] != "r"], real).iloc[0]
-    assert (chosen["method"], chosen["contradicted_by"]) == ("q", "road")
+    assert (chosen["method"], chosen["contradicted_by"], chosen["advised"]) == ("q", "road", "no")
+    cases = [("wire_m", 0.65, "yes"), ("wire_m", 0.55, "no"), ("tilt_deg", 0.65, "no")]
+    for task, low, expected in cases:  # a metric defines the tilt
+        chosen = study.advice(table.assign(task=task, low=low), real.assign(task=task)).iloc[0]
+        assert (chosen["method"], chosen["advised"]) == ("r", expected)
 
 
 def test_a_chart_reaches_as_far_as_things_agree_with_it():

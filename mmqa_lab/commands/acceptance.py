@@ -151,9 +151,8 @@ def calibrate(
 def tender(criteria: str, results: str, /, *, details: bool = False):
     """Compare systems' results with the criteria of a tender, in a sentence for each system.
 
-    The command judges any figures; it advises none. Which figure goes with which task, study 12
-    says: e95_of_3 with small things and gaps, noise_of_a_mean with heights, steps and planes.
-    Neither f nor g says what a cloud is fit for.
+    The command judges any figures; it advises none. Which figure goes with which task, the README
+    and study 12 say. Neither f nor g says what a cloud is fit for.
 
     Quantities: each metric of evaluate --metrics all, density_per_m2, sigma_mad_mm, std_mm, d1_mm
     to d4_mm, e95_mm (of a cloud); pixel_mm, w_mm, legibility, legibility_40mm, legibility_60mm (of

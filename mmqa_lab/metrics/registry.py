@@ -9,13 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from mmqa_lab._checks import check_known
-from mmqa_lab.metrics.pattern import Unmeasured
+from mmqa_lab.metrics.pattern import Pattern, Unmeasured
 
 __all__ = ["CURVES", "METRICS", "Metric", "metric", "supports", "table"]
 
@@ -159,7 +160,8 @@ def supports(quality: Any) -> pd.DataFrame:
     Notes
     -----
     The curves are fitted on simulated drives of study 12 (notebook 12), in half of which the chart
-    stood elsewhere than the thing. Errors of the navigation are not in them.
+    stood elsewhere than the thing. Errors of the navigation are not in them. Points that share
+    their place count once, for they say nothing more of the surface.
 
     Examples
     --------
@@ -169,7 +171,10 @@ def supports(quality: Any) -> pd.DataFrame:
     ['step', 'tilt', 'detail', 'volume']
     """
     table = pd.read_csv(CURVES)
-    measured = np.array([METRICS[name](quality) for name in table["metric"]])
+    kept = np.unique(np.column_stack([quality.xy, quality.plane.residuals]), axis=0)
+    pattern = Pattern(kept[:, :2], quality.outline, kept[:, 2])
+    once = SimpleNamespace(pattern=pattern, sigma_mad_mm=quality.sigma_mad_mm)
+    measured = np.array([METRICS[name](once) for name in table["metric"]])
     with np.errstate(divide="ignore"):
         values = table["factor"] * np.exp(table["intercept"] + table["slope"] * np.log(measured))
     inside = (measured >= table["low"]) & (measured <= table["high"])

@@ -46,18 +46,18 @@ ENVIRONMENT = {
     "TQDM_DISABLE": "1",
 }
 
-# The answer of the last stored run, on the first screen of a notebook.
-ANSWER = re.compile(r"(?m)^\*\*Answer\.\*\* .*\n+")
+# The answer of a run with its figure, on the first screen of a notebook.
+ANSWER = re.compile(r"(?m)^\*\*Answer\.\*\* .*\n+(!\[.*\]\(attachment:.*\)\n+)?")
 
-# Widths of stored figures, which is 178 mm at 143 dpi, and of thumbnails.
-WIDTH_PX, THUMBNAIL_PX = 1000, 280
+# Widths of stored figures, which is 178 mm at 143 dpi, of the answer's and of thumbnails.
+WIDTH_PX, ANSWER_PX, THUMBNAIL_PX = 1000, 800, 280
 
 # Figures of a chart against tasks, for the metric cards, and the curves behind metrics.supports,
 # in the folder of results.
 TASKS, SUPPORTED = "fitness/tasks_by_figures.csv", "fitness/supported.csv"
 
-# What the README advises, in the folder of results, and from which balanced accuracy.
-ADVICE, LEAST_ADVISED = "fitness/advice.csv", 0.6
+# What the README advises, in the folder of results.
+ADVICE = "fitness/advice.csv"
 
 # The first figure of the README, in the folder of results.
 KEY_FIGURE = "fitness/six_clouds.png"
@@ -92,6 +92,7 @@ def run_study(study, folder, *, size="full"):
     above += [f"**{SIZES[size]}.**"] if size != "full" else []
     above += [f"**Stopped: `{failure}`. The cells below it were not run.**"] if failure else []
     record = read_record(target) | {"seconds": seconds, "failure": failure}
+    _answer(notebook, record, target)
     write_atomically(target / f"{study.stem}.ipynb", nbformat.writes(notebook))
     page = notebook_page(notebook, study.title, above=above)
     write_atomically(target / f"{study.stem}.html", page)
@@ -107,6 +108,19 @@ def inject(notebook, parameters, size="quick"):
     lines = [f"{name} = {value!r}" for name, value in parameters.items()]
     cell = nbformat.v4.new_code_cell("\n".join([f"# {SIZES[size]}", *lines]))
     notebook.cells.insert(place + 1, cell)
+
+
+def _answer(notebook, record, folder):
+    """Put a run's answer and the figure that shows it onto the first screen of its notebook."""
+    figure = record["answer"]["figure"]
+    if figure not in record["figures"]:  # of a tool, or of a run that stopped
+        return
+    first = next(cell for cell in notebook.cells if cell.cell_type == "markdown")
+    content = _shrunk((folder / f"{figure}.png").read_bytes(), ANSWER_PX)
+    shows = f"![{record['figures'][figure]}](attachment:answer.png)"
+    said = f"**Answer.** {record['answer']['sentence']}\n\n{shows}\n\n"
+    first.source = ANSWER.sub(lambda _: said, first.source)
+    first.attachments = {"answer.png": {"image/png": base64.b64encode(content).decode()}}
 
 
 def execute(notebook, folder, *, results):
@@ -159,8 +173,6 @@ def store(notebooks, folder, studies):
         texts = ([ANSWER.sub("", cell.source) for cell in one.cells] for one in (ran, plain))
         if ne(*texts):  # but for the answer, which is renewed
             raise ValueError(f"Invalid results of {study.stem}: the notebook changed. Must be run.")
-        found = f"**Answer.** {record['answer']['sentence']}\n\n"
-        ran.cells[0].source = ANSWER.sub(lambda _, found=found: found, ran.cells[0].source)
         text = nbformat.writes(_lightened(ran, plain)).replace(str(folder), "results")
         write_atomically(study.path, text + "\n")
         seconds[study.stem] = record["seconds"]
@@ -208,15 +220,9 @@ def _renew_readme(readme, answers, counts=None):
 
 
 def _renew_advice(readme, found):
-    """Write the advised metrics of tasks into the README's table.
-
-    Tasks are left out that are functions of a metric, that a real cloud contradicts, or of which a
-    metric is near the best for no group of scanners or decides hardly better than a coin.
-    """
-    known = found["by_construction"].isna() & (found["contradicted_by"] == "none")
-    known &= (found["near_in"] != "none") & (found["low"] > LEAST_ADVISED)
+    """Write the advised metrics of tasks into the README's table."""
     rows = ["|task|ask for|balanced accuracy|limit for heads, beams, others|", "|---|---|---|---|"]
-    for row in found[known].itertuples():
+    for row in found[found["advised"] == "yes"].itertuples():
         one = METRICS[row.method]
         end = {"less": "at most", "more": "at least"}[one.better]
         limit = f"`{row.method}` {end} {row.limit:.2g} {one.unit}"

@@ -56,6 +56,7 @@ def _student_notebook(notebook, checks):
     copy, _ = ClearOutputPreprocessor().preprocess(notebook, {})
     cells, copy.cells = copy.cells, []
     for cell in cells:
+        cell.pop("attachments", None)  # the answer's figure
         if NUMBER in _tags(cell):
             cell.source = cell.source.replace(f"{NUMBER} = 1", f"{NUMBER} = ...")
         cell.source = SET_HERE.sub("set it in the next cell", ANSWER.sub("", cell.source))

@@ -116,7 +116,7 @@ class Lattice(Shown):
         from mmqa_lab.plots import COLOURS, subplots
 
         ax = ax or subplots()[1]
-        ax.plot(*(1000 * self.points(half_width)).T, ".", ms=2.5, color="0.6", mew=0)
+        ax.plot(*(1000 * self.points(half_width)).T, ".", ms=4, color="0.3", mew=0)
         for step, name in ((self.a, "a"), (self.b, "b")):
             colour = COLOURS["vermilion" if name == "a" else "blue"]
             arrow = {"arrowstyle": "-|>", "color": colour, "shrinkA": 0, "shrinkB": 0}

@@ -7,7 +7,7 @@ from scipy.stats import rankdata, t
 from mmqa_lab import bench as benches
 from mmqa_lab.metrics import METRICS
 from mmqa_lab.spacing import exempt
-from mmqa_lab.studies.fitness.tasks import GOOD
+from mmqa_lab.studies.fitness.tasks import FREE, GOOD
 
 __all__ = [
     "FEW", "advice", "by_kind", "contradictions", "correlations", "halves", "matrix", "measured",
@@ -20,8 +20,8 @@ FEW = 10
 NEAR = 0.03
 """A metric does if its balanced accuracy is less than so much behind the best one's."""
 
-COIN = 0.5
-"""Balanced accuracy of a coin."""
+COIN, LEAST_ADVISED = 0.5, 0.6
+"""Balanced accuracy of a coin, and that which the interval of an advised metric must pass."""
 
 RHO0 = 3000.0
 """The density of section 4.2 of Pfeifer et al. 2021, with its exemption."""
@@ -235,7 +235,8 @@ def advice(table, real):
         The rows of ``pooled`` with ``worst``, how much the best of a group has more at most;
         ``near_in``, the groups in which that is less than ``NEAR``; ``limits``, the best limit
         within each group, as text, where it is shown to be better than a coin;
-        ``contradicted_by``.
+        ``contradicted_by``; ``advised``, ``yes`` unless a metric defines the task, a real cloud
+        contradicts, the metric is near the best for no group, or hardly better than a coin.
     """
     keys = ["task", "method"]
     whole = table["scanners"] == "pooled"
@@ -254,6 +255,9 @@ def advice(table, real):
     nothing |= {"worst": 1.0, "sets": 0}
     found = found.fillna(nothing).sort_values(["sets", "worst", "behind"], kind="stable")
     found = found.drop_duplicates("task").sort_index()
+    known = found["task"].isin(FREE) & (found["low"] > LEAST_ADVISED)
+    known &= (found["near_in"] != "none") & (found["contradicted_by"] == "none")
+    found["advised"] = np.where(known, "yes", "no")
     return found.drop(columns=["scanners", "sets"]).reset_index(drop=True)
 
 
