@@ -327,7 +327,6 @@ def path_distance(points: ArrayLike, path: Any) -> np.ndarray:
 
     if isinstance(path, pd.DataFrame):
         check_columns(path, ("easting_m", "northing_m"), "path")
-        path = path[["easting_m", "northing_m"]]
     path = check_plan(path, name="path", minimum=2)
     points = check_plan(points, minimum=0)
     origin = path.mean(axis=0).round()
