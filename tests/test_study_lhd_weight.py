@@ -143,13 +143,13 @@ def test_canyon_refuses_negative_noise():
 
 def test_checks_of_the_notebook_fail_with_other_numbers():
     """Each check, with numbers that would make its statement false and with the true ones."""
-    false = {"plateau": 0.2, "tolerance": 0.03, "moved": 3.0, "bias": 0.1, "across": 0.2}
-    false |= {"f1": pd.DataFrame({"mean": [0.8]}, index=["W = 1"])}
+    false = {"plateau": 0.2, "tolerance": 0.03, "moved": 3.0, "saturated": 0.1, "across": 0.2}
+    false |= {"others": pd.Series({"W = 1": 0.8})}
     false |= {"loud": pd.Series({"W = 10": 0.8})}
     false |= {"gain": pd.Series([0.1, 0.2]), "factor": 2.0, "least": -0.1}
     false |= {"rows": range(14), "blind": np.arange(14) > 7, "follow": [True] * 14}
     assert len(spoiled("lhd_weight", false | {"reached": np.zeros(14, dtype=bool)})) == 7
-    true = false | {"plateau": 0.01, "moved": 0.1, "bias": -0.9, "across": 0.01, "least": 0.1}
+    true = false | {"plateau": 0.01, "moved": 0.1, "saturated": -0.9, "across": 0.01, "least": 0.1}
     true |= {"loud": pd.Series({"W = 10": 0.7, "W = 0": 0.8}), "follow": [True] * 13 + [False]}
     assert not spoiled("lhd_weight", true | {"reached": np.ones(14, dtype=bool)})
 
