@@ -187,6 +187,17 @@ def test_each_failure_costs_its_own_cells_and_one_sentence():
     assert (table["first_case"] == "sigma=1.0, count=10, seed=0").all()
 
 
+def test_figures_that_a_method_leaves_out_are_named_in_one_order():
+    names = ["zeta", "beta", "eta", "alpha", "theta", "gamma"]
+    found = quietly(
+        bench.grid(n=(0, 1)),
+        {"m": lambda n: {"value": 1.0} | dict.fromkeys(names[: 6 * n], 2.0)},
+        make=lambda n, seed: n,
+    )
+    (reason,) = bench.failures(found)["reason"]
+    assert reason == f"{', '.join(sorted(names))}: nothing is returned."
+
+
 def test_a_make_that_fails_costs_its_case_for_all_methods():
     def make(n, seed):
         return 1 / (n - 2)

@@ -33,7 +33,7 @@ def dataset(cases, methods, seeds, records):
     for name in methods:  # a figure that it returns elsewhere is missing here
         of_method = [found[name] for found in records.values()]
         for one in of_method:
-            lacking = [figure for figure in set().union(*of_method) if figure not in one]
+            lacking = sorted(set().union(*of_method) - set(one))
             if lacking and not one["failure"]:
                 one["failure"] = f"{', '.join(lacking)}: nothing is returned."
     for (number, seed), found in records.items():

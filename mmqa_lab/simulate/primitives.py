@@ -24,7 +24,7 @@ RECTANGLE, DISC, SHAFT = range(3)
 class Surface:
     """Primitives that share an id and a label.
 
-    Made by the functions of this module (``rectangle``, ``cylinder``, ...), not by hand.
+    Made by the functions of ``surfaces`` (``rectangle``, ``cylinder``, ...), not by hand.
 
     Parameters
     ----------
