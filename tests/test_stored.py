@@ -186,6 +186,11 @@ def test_the_readme_is_short_and_has_the_stored_answers():
     real = pd.read_csv(notebooks_folder() / "paper/from_runs/fitness/real_ranks.csv")
     potholes = real[real["task"] == "pothole_percent"]
     assert len(potholes) == (potholes["e95_of_3"] > potholes["noise_of_a_mean"]).sum() == 4
+    ahead = [(real["density"] > real[name]).sum() for name in ("noise_of_a_mean", "e95_of_3")]
+    line = (
+        f"density orders {ahead[0]} of {len(real)} rankings better than the noise of a mean, and "
+    )
+    assert f"{line}{ahead[1]} better than `e95_of_3`." in " ".join(text.split())
     fitted = f"{counts['fitted']} served to fit a simulation, and {counts['not comparable']} cannot"
     assert fitted in text
     measured = (notebooks_folder().parent / "tests/benchmarks/RESULTS.md").read_text("utf-8")

@@ -260,6 +260,23 @@ def test_a_failing_cell_is_named_and_what_it_made_is_shown(broken, tmp_path):
     assert "Never" not in index
 
 
+@pytest.mark.parametrize("dies", [1, 2])
+def test_a_kernel_that_does_not_begin_is_tried_again_and_then_said(broken, monkeypatch, dies):
+    begin, tried = notebooks.NotebookClient.execute, []
+
+    def execute(client, **options):
+        tried.append(client)
+        client.code_cells_executed = 0
+        if len(tried) <= dies:
+            raise RuntimeError("Kernel died before replying to kernel_info")
+        return begin(client, **options)
+
+    monkeypatch.setattr(notebooks.NotebookClient, "execute", execute)
+    _, record = broken("seed = 1", MADE)
+    said = ["", "", "Kernel died before replying to kernel_info"]
+    assert (record["failure"], len(tried)) == (said[dies], 2)
+
+
 def test_a_study_that_is_interrupted_shows_what_it_made(broken, tmp_path):
     record = broken("seed = 1", MADE, "print('so far')", "import os; os._exit(1)")[1]
     assert verdict(record) == "Kernel died"

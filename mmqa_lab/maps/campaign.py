@@ -311,7 +311,7 @@ def _near(slices, place, run):
 
 
 def _map_tile(own, place, near, run, metrics):
-    """Evaluate a tile with the points around it, and write its file."""
+    """Read and evaluate a tile with the points around it, and write its file."""
     first, side, cell = np.multiply(place, run["side"]), run["side"], run["cell"]
     points = np.concatenate([
         np.fromfile(own / name, count=3 * (stop - start), offset=24 * start).reshape(-1, 3)

@@ -18,7 +18,7 @@ import nbformat
 import numpy as np
 import pandas as pd
 from nbclient import NotebookClient
-from nbclient.exceptions import CellExecutionError, DeadKernelError
+from nbclient.exceptions import CellExecutionError
 from PIL import Image
 from scipy.spatial import cKDTree
 
@@ -123,8 +123,12 @@ def _answer(notebook, record, folder):
     first.attachments = {"answer.png": {"image/png": base64.b64encode(content).decode()}}
 
 
-def execute(notebook, folder, *, results):
-    """Execute a notebook in place; return its failure in one line, or an empty text."""
+def execute(notebook, folder, *, results, again=True):
+    """Execute a notebook in place; return its failure in one line, or an empty text.
+
+    A kernel that does not begin is tried ``again``: one that begins at the same moment may have
+    taken its port.
+    """
     client = NotebookClient(
         notebook,
         kernel_name="python3",
@@ -136,7 +140,9 @@ def execute(notebook, folder, *, results):
         client.execute(env=env, stderr=subprocess.DEVNULL)  # a kernel that is ended complains
     except CellExecutionError as error:
         return f"{error.ename}: {error.evalue}".splitlines()[0]
-    except DeadKernelError as error:  # also if the run is interrupted
+    except RuntimeError as error:  # the kernel died, also if the run is interrupted
+        if again and not client.code_cells_executed:
+            return execute(notebook, folder, results=results, again=False)
         return str(error)
     return ""
 
