@@ -172,8 +172,10 @@ def supports(quality: Any) -> pd.DataFrame:
     """
     table = pd.read_csv(CURVES)
     kept = np.unique(np.column_stack([quality.xy, quality.plane.residuals]), axis=0)
-    pattern = Pattern(kept[:, :2], quality.outline, kept[:, 2])
-    once = SimpleNamespace(pattern=pattern, sigma_mad_mm=quality.sigma_mad_mm)
+    once = quality
+    if len(kept) < quality.n:
+        pattern = Pattern(kept[:, :2], quality.outline, kept[:, 2])
+        once = SimpleNamespace(pattern=pattern, sigma_mad_mm=quality.sigma_mad_mm)
     measured = np.array([METRICS[name](once) for name in table["metric"]])
     with np.errstate(divide="ignore"):
         values = table["factor"] * np.exp(table["intercept"] + table["slope"] * np.log(measured))

@@ -117,8 +117,7 @@ def _answer(notebook, record, folder):
         return
     first = next(cell for cell in notebook.cells if cell.cell_type == "markdown")
     content = _shrunk((folder / f"{figure}.png").read_bytes(), ANSWER_PX)
-    shows = f"![{record['figures'][figure]}](attachment:answer.png)"
-    said = f"**Answer.** {record['answer']['sentence']}\n\n{shows}\n\n"
+    said = f"**Answer.** {record['answer']['sentence']}\n\n![Answer](attachment:answer.png)\n\n"
     first.source = ANSWER.sub(lambda _: said, first.source)
     first.attachments = {"answer.png": {"image/png": base64.b64encode(content).decode()}}
 
