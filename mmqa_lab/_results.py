@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import re
 from dataclasses import fields
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
-import pandas as pd
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 __all__ = ["NORMAL", "Shown", "about", "digits", "printed", "sentences"]
 
@@ -30,6 +32,8 @@ class Shown:
 
     def to_frame(self) -> pd.DataFrame:
         """Return one row: every number with its unit, short vectors by their axes."""
+        import pandas as pd
+
         row: dict[str, Any] = {}
         for name in (*(field.name for field in fields(cast(Any, self))), *self._derived):
             value, unit = getattr(self, name), "_m" if name in self._metres else ""
@@ -45,6 +49,8 @@ class Shown:
 
         A row for each figure that has one; NaN where it is not known.
         """
+        import pandas as pd
+
         return pd.DataFrame(self._ends(), columns=["figure", "value", "low", "high", "unit"])
 
     def _ends(self):
@@ -91,6 +97,7 @@ def printed(frame, *, missing=""):
 
     Columns of coordinates in metres keep their millimetres, such in other units seven decimals.
 
+    >>> import pandas as pd
     >>> table = pd.DataFrame({"x_m": [123.45678], "f": [123.45678], "x": [11.576543]})
     >>> printed(table).loc[0].tolist()
     ['123.457', '123.5', '11.5765430']
@@ -100,6 +107,8 @@ def printed(frame, *, missing=""):
 
 def _texts(column, missing):
     """The numbers of a column as text."""
+    import pandas as pd
+
     if column.dtype.kind != "f":
         return column
     name, write = str(column.name), digits

@@ -188,8 +188,9 @@ def test_importing_the_package_is_light():
     assert done.stdout.strip() == "set()"
 
 
-def test_help_needs_no_tables():
-    code = "import sys, mmqa_lab.commands; print({'pandas', 'scipy', 'numba'} & set(sys.modules))"
+@pytest.mark.parametrize("room", ["commands", "chart_cloud"])
+def test_help_and_a_chart_load_no_tables_before_they_need_them(room):
+    code = f"import sys, mmqa_lab.{room}; print({{'pandas', 'scipy', 'numba'}} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stdout.strip() == "set()"
 

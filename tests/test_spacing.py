@@ -173,6 +173,15 @@ def test_figures_of_a_small_cloud_need_no_compiler():
     assert json.loads(done.stdout)[0]["f"] == evaluate_cloud(cloud).f
 
 
+def test_the_compiled_search_is_loaded_when_enough_points_have_been_searched():
+    code = "import sys, numpy as np; from mmqa_lab.spacing import quadrants\n"
+    code += "xy = np.random.default_rng(1).random((12_000, 2))\n"
+    code += "print(*[[quadrants(xy).f, 'numba' in sys.modules] for _ in range(3)], sep=';')"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    (f, *_), *_ = found = [json.loads(one.lower()) for one in done.stdout.split(";")]
+    assert found == [[f, False], [f, False], [f, True]]
+
+
 @pytest.mark.parametrize("name", sorted(PATTERNS))
 @pytest.mark.parametrize("radius", [0.01, 0.5])
 def test_larger_clouds_equal_brute_force_at_sampled_points(name, radius):

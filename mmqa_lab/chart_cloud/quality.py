@@ -10,7 +10,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 import shapely
 
 from mmqa_lab import stats
@@ -31,6 +30,7 @@ from mmqa_lab.spacing.directions import FEWEST_POINTS
 from mmqa_lab.spacing.empty import places_within
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -246,6 +246,8 @@ class CloudQuality(Shown):
         >>> bool((table["low"] < table["value"]).all() and (table["value"] < table["high"]).all())
         True
         """
+        import pandas as pd
+
         block, residuals_mm = self.spacing.parts, 1000 * self.plane.residuals
         off = np.abs(residuals_mm - np.median(residuals_mm))
         factor = self.sigma_mad_mm / max(np.median(off), 1e-300)
@@ -274,6 +276,8 @@ class CloudQuality(Shown):
 
     def to_frame(self) -> pd.DataFrame:
         """Return a row with every figure; the names of its columns end with the units."""
+        import pandas as pd
+
         first = ("n", "area_polygon_m2", "area_hull_m2", "density_polygon_per_m2")
         first += ("density_hull_per_m2", "std_mm", "sigma_mad_mm")
         row = {name: getattr(self, name) for name in first}

@@ -10,13 +10,15 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from mmqa_lab._checks import check_known
 from mmqa_lab.metrics.pattern import Pattern, Unmeasured
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 __all__ = ["CURVES", "METRICS", "Metric", "metric", "supports", "table"]
 
@@ -126,6 +128,8 @@ def table(
     >>> table(evaluate_cloud(points), ["anps", "f"])["unit"].tolist()
     ['mm', '1']
     """
+    import pandas as pd
+
     own = dict(own or {})
     names = [*METRICS] if names is None else list(names)
     for name in names:
@@ -170,6 +174,8 @@ def supports(quality: Any) -> pd.DataFrame:
     >>> supports(evaluate_cloud(points))["thing"].tolist()
     ['step', 'tilt', 'detail', 'volume']
     """
+    import pandas as pd
+
     table = pd.read_csv(CURVES)
     kept = np.unique(np.column_stack([quality.xy, quality.plane.residuals]), axis=0)
     once = quality

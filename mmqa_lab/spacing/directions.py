@@ -11,7 +11,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from numpy.typing import ArrayLike
 
 from mmqa_lab import stats
@@ -21,6 +20,7 @@ from mmqa_lab.planes import flat_points
 from mmqa_lab.spacing.neighbours import STEP_DEG, by_direction, nearest_by_sector, tree_of
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.axes import Axes
 
 __all__ = ["FEWEST_POINTS", "DirectionalSpacing", "block_numbers", "directional", "line_parts"]
@@ -269,6 +269,8 @@ def line_parts(xy: ArrayLike, found: DirectionalSpacing | None = None) -> np.nda
 
 def table_of(names, values, intervals):
     """Return rows of figures with their intervals; all figures but the last are lengths."""
+    import pandas as pd
+
     numbers = np.column_stack([values, intervals])
     numbers[:-1] *= 1000
     table = pd.DataFrame(numbers, columns=["value", "low", "high"])

@@ -13,7 +13,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from numpy.typing import ArrayLike
 
 from mmqa_lab import stats
@@ -30,6 +29,7 @@ from mmqa_lab.spacing.directions import (
 from mmqa_lab.spacing.neighbours import by_quadrant, nearest_by_sector, tree_of
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.axes import Axes
 
 __all__ = [
@@ -37,8 +37,10 @@ __all__ = [
     "turned_f",
 ]  # fmt: skip
 
-FEW_FOR_SCIPY = 10_000
-"""Most points that scipy searches while numba is not imported, which would take longer."""
+FEW_FOR_SCIPY = 30_000
+"""Most points that scipy searches in a process: to load the compiled search takes as long."""
+
+_searched = [0]  # points so far
 
 
 @dataclass(frozen=True, eq=False)
@@ -378,11 +380,12 @@ def _turned(xy, angle):
 
 
 def _nearest_per_quadrant(xy, radius, of):
-    """The compiled search, or the search by scipy for few points while numba is not imported.
+    """The compiled search, or the search by scipy of the first points while numba is not imported.
 
     Both find the same distances, to the last bit.
     """
-    if "numba" in sys.modules or len(xy) > FEW_FOR_SCIPY:
+    _searched[0] += len(xy)
+    if "numba" in sys.modules or _searched[0] > FEW_FOR_SCIPY:
         from mmqa_lab.spacing._search import nearest_per_quadrant
 
         return nearest_per_quadrant(xy, radius, of)

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_count, check_row, check_together, real_array, refuse
@@ -187,6 +186,8 @@ def rank_correlation(rows: ArrayLike, truth: ArrayLike) -> np.ndarray:
     >>> rank_correlation([[1, 2, 4], [3, 2, np.nan]], [0.1, 0.5, 0.9]).round(9).tolist()
     [1.0, -1.0]
     """
+    import pandas as pd
+
     rows, truth = check_together(rows=rows, truth=truth, missing=True)
     refuse((rows.ndim, truth.ndim) != (2, 1), "rows", f"shape {rows.shape}", "a table")
     with warnings.catch_warnings(action="ignore"):  # a row without spread has none
@@ -330,6 +331,8 @@ def errors(values: ArrayLike) -> Errors:
     >>> errors([1.0, -1.0, 3.0]).bias, round(errors([1.0, -1.0, 3.0]).rmse, 3)
     (1.0, 1.915)
     """
+    import pandas as pd
+
     values = real_array(values, "errors").astype(np.float64).ravel()
     if np.isinf(values).any():
         raise ValueError("Invalid errors: infinite. Must be finite, or NaN where not measured.")
