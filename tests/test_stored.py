@@ -64,13 +64,17 @@ class Ran:
 
 
 def test_the_readme_advises_what_real_clouds_do_not_contradict(tmp_path):
-    (tmp_path / "README.md").write_text("Ask:\n\n|task|ask for|\n|---|---|\n|old|f|\n\nEnd.\n")
+    (tmp_path / "README.md").write_text(
+        "they fall by at most 0.9\n\n|task|ask for|\n|---|---|\n|old|f|\n\nEnd.\n"
+    )
     found = pd.DataFrame({"words": list("abcde"), "method": 4 * ["e95"] + ["density"]})
     found["advised"] = ["no", "no", "no", "yes", "yes"]
     found["limits"] = "20, 35, nan"
     found[["limit", "balanced", "low", "high"]] = [30.0, 0.8, 0.7, 0.9]
+    found["nested"] = [0.2, 0.2, 0.2, 0.78, 0.75]
     for _ in range(2):
         _renew_advice(tmp_path / "README.md", found)
+    assert (tmp_path / "README.md").read_text().splitlines()[0] == "they fall by at most 0.05"
     assert (tmp_path / "README.md").read_text().splitlines()[4:] == [
         "|d|`e95` at most 30 mm|0.80 (0.70 to 0.90)|20, 35, nan|",
         "|e|`density` at least 30 points/m2|0.80 (0.70 to 0.90)|20, 35, nan|",

@@ -145,6 +145,19 @@ def test_scores_are_held_out_and_differences_are_corrected():
     assert study.halves(figures, errors, good={"end_mm": 1e9}).empty
 
 
+def test_a_choice_among_useless_metrics_is_no_better_than_a_coin_on_the_other_half():
+    rng, n = np.random.default_rng(3), 80
+    errors = pd.DataFrame({"end_mm": rng.uniform(0, 1, n)})
+    useless = pd.DataFrame(rng.uniform(0, 1, (n, 40)), columns=[f"m{k}" for k in range(40)])
+    found = study.halves(useless, errors, good={"end_mm": 0.5})
+    assert found["balanced"].max() > 0.54
+    assert found["nested_low"].iloc[0] < found["nested"].iloc[0] < 0.52
+    assert found["nested"].nunique() == 1 and found["picked"].sum() == pytest.approx(1)
+    told = study.halves(useless.assign(e95=errors["end_mm"]), errors, good={"end_mm": 0.5})
+    told = told.set_index("method").loc["e95"]
+    assert told["picked"] == 1 and told["nested"] == told["balanced"] > 0.95
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_thresholds_equal_a_brute_force(seed):
     rng = np.random.default_rng(seed)

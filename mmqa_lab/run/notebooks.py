@@ -227,7 +227,8 @@ def _renew_readme(readme, answers, counts=None):
 def _renew_advice(readme, found):
     """Write the advised metrics of tasks into the README's table."""
     rows = ["|task|ask for|balanced accuracy|limit for heads, beams, others|", "|---|---|---|---|"]
-    for row in found[found["advised"] == "yes"].itertuples():
+    found = found[found["advised"] == "yes"]
+    for row in found.itertuples():
         one = METRICS[row.method]
         end = {"less": "at most", "more": "at least"}[one.better]
         limit = f"`{row.method}` {end} {row.limit:.2g} {one.unit}"
@@ -235,6 +236,8 @@ def _renew_advice(readme, found):
         rows.append(f"|{row.words}|{limit}|{score}|{row.limits}|")
     text = readme.read_text(encoding="utf-8")
     text = re.sub(r"\|task\|ask for(?:[^\n]+\n)+", "\n".join([*rows, ""]), text)
+    lost = (found["balanced"] - found["nested"]).max()
+    text = re.sub(r"(they fall by at most )\d\.\d+", rf"\g<1>{lost:.2f}", text)
     write_atomically(readme, text)
 
 

@@ -327,12 +327,19 @@ def _from_planes(drives, lever_arms_m):
     return calibrate(drives, lever_arms_m=lever_arms_m).values
 
 
+class _Drives(tuple):
+    """Drives that surveys share; a bench that copies its cases leaves them as they are."""
+
+    def __deepcopy__(self, memo):
+        return self
+
+
 @lru_cache(maxsize=2)
 def _driven(navigation, seed, length_m, pulses_per_s):
     """Drives of a street, whose survey does not change them."""
     street = make_test_field(length_m=length_m, seed=seed)
     scans = {"seed": seed + 3, "pulses_per_s": pulses_per_s}
-    return tuple(drive_test_field(street, two_heads(PATHS[navigation]), **scans))
+    return _Drives(drive_test_field(street, two_heads(PATHS[navigation]), **scans))
 
 
 def full(survey):

@@ -122,7 +122,10 @@ def halves(figures, errors, *, good=GOOD, repeats=100):
         For each ``task`` and ``method``: ``limit`` (median of the thresholds), ``balanced``
         (balanced accuracy on the other halves, the mean) with ``low`` and ``high``; ``behind``, how
         much the best metric of the task has more, with ``behind_low`` and ``behind_high``; ``n``
-        and ``fit``. Tasks with fewer than ``FEW`` fit or unfit clouds are left out.
+        and ``fit``; ``picked``, the share of halves whose best metric it is; ``nested``, balanced
+        accuracy where each half picks the metric, too, with ``nested_low`` and ``nested_high``
+        (the same for all metrics of a task). Tasks with fewer than ``FEW`` fit or unfit clouds are
+        left out.
 
     Notes
     -----
@@ -139,23 +142,35 @@ def halves(figures, errors, *, good=GOOD, repeats=100):
         if np.bincount(fit, minlength=2).min() < FEW:
             continue
         scores, limits = np.empty((2, repeats, len(figures.columns)))
+        picks = np.empty(repeats, dtype=int)
         for k in range(repeats):
             chooses = _half(fit, rng)
             limits[k] = thresholds(values[chooses], fit[chooses])
-            right = (values[~chooses] <= limits[k]) == fit[~chooses, None]
-            scores[k] = (right[fit[~chooses]].mean(axis=0) + right[~fit[~chooses]].mean(axis=0)) / 2
+            picks[k] = _balanced(values[chooses] <= limits[k], fit[chooses]).argmax()
+            scores[k] = _balanced(values[~chooses] <= limits[k], fit[~chooses])
         best = np.argmax(scores.mean(axis=0))
         behind = scores[:, [best]] - scores
         single, many = t.ppf([0.975, 1 - 0.025 / max(len(figures.columns) - 1, 1)], repeats - 1)
+
+        def within(of, level=single):
+            reach = level * np.sqrt(wide * of.var(ddof=1))
+            return of.mean(), of.mean() - reach, of.mean() + reach
+
+        nested = within(scores[np.arange(repeats), picks])
         for k, name in enumerate(figures):
-            mean, off = scores[:, k].mean(), behind[:, k].mean()
-            reach = single * np.sqrt(wide * scores[:, k].var(ddof=1))
-            away = many * np.sqrt(wide * behind[:, k].var(ddof=1))
             middle = np.median(limits[:, k]) * (-1 if _is_more(name) else 1)
-            ends = mean - reach, min(mean + reach, 1), off, off - away, off + away
-            rows.append((task, name, middle, mean, *ends, len(fit), int(fit.sum())))
+            mean, low, high = within(scores[:, k])
+            ends = low, min(high, 1), *within(behind[:, k], many)
+            counts = len(fit), int(fit.sum()), (picks == k).mean()
+            rows.append((task, name, middle, mean, *ends, *counts, *nested))
     columns = ["task", "method", "limit", "balanced", "low", "high", "behind", "behind_low"]
-    return pd.DataFrame(rows, columns=[*columns, "behind_high", "n", "fit"])
+    columns += ["behind_high", "n", "fit", "picked", "nested", "nested_low", "nested_high"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def _balanced(accepted, fit):
+    """Balanced accuracy of rules that accept clouds, (n, k), of which some are fit, (n,)."""
+    return (accepted[fit].mean(axis=0) + (~accepted)[~fit].mean(axis=0)) / 2
 
 
 def by_kind(figures, errors, kinds, groups, **choices):
