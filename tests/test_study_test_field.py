@@ -1,6 +1,8 @@
 """The test-field study: prediction, fit, published tables, ledger, bench, and checks that fail."""
 
+import warnings
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -141,3 +143,17 @@ def test_public_sweeps_are_moved_onto_each_other_and_their_heights_compared(monk
     assert kept["n"] > 100
     assert kept["mean_mm"] == pytest.approx(-15, abs=0.5)
     assert kept["std_mm"] < 2
+
+
+def test_drives_are_adjusted_once_for_all_surveys(monkeypatch):
+    asked = []
+
+    def calibrate(drives, lever_arms_m):
+        asked.append(drives)
+        return SimpleNamespace(values=np.zeros((2, 6)))
+
+    monkeypatch.setattr(study, "calibrate", calibrate)
+    small = {"length_m": 40, "pulses_per_s": 2_000, "navigation": ("exact",)}
+    with warnings.catch_warnings(action="ignore"):  # so few points show no pole
+        study.bench({"planes": study.from_planes}, **small, reference_std_m=(0.003, 0.011)).run()
+    assert len(asked) == 1
