@@ -116,7 +116,6 @@ READS_VERDICT = re.compile(r"\b(agrees|verdicts)\(")
 NO_VERDICT = {
     "Every printed f is d4/d1": "print against print",
     "Five simulated selections of B at 10 m: the density": "the print is a limit that is drawn",
-    "The spread of the density of a random": "print is drawn beside it",
     "Far off, the published distance": "a method that is published, against the truth",
     "Estimating the displacement first": "methods against each other",
     "Each row of Table 4": "counts of two readings; the ledger has one",
