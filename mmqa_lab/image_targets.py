@@ -76,6 +76,7 @@ def measure(
         have no full scale.
     """
     values = np.asarray(values)
+    refuse(values.ndim != 3, "image", f"shape {values.shape}", "(bands, rows, columns)")
     needed, read = OF_TARGETS[check_choice(what, "measure", OF_TARGETS)]
     check_columns({} if targets is None else targets, needed, "targets")
     if targets is not None:

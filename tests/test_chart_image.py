@@ -3,6 +3,7 @@
 import dataclasses
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pandas as pd
 import pytest
@@ -12,7 +13,15 @@ from photographed import RealPairs
 from rendered import centre_contrast, grey, pattern_case
 
 from mmqa_lab import chart_image, charts, samples
-from mmqa_lab.chart_image import ChartMap, PanoramaCamera, align, doubts, maps
+from mmqa_lab.chart_image import (
+    ChartMap,
+    PanoramaCamera,
+    align,
+    alignment,
+    doubts,
+    finding,
+    maps,
+)
 from mmqa_lab.simulate import cameras
 
 CHART = charts.imaging_chart()
@@ -409,3 +418,45 @@ def test_how_far_sides_leave_straight_lines_is_their_sagitta():
     bent = ChartMap(np.diag([1.0, -1.0, 1.0]), bend=maps.Bend((CHART.width, CHART.height), terms))
     assert bent.bent_share(CHART) == pytest.approx(12 / CHART.height, rel=0.01)
     assert ChartMap(np.diag([1.0, -1.0, 1.0])).bent_share(CHART) < 1e-9
+
+
+def printed(cell, border=60):
+    """The chart seen straight on with pixels of ``cell`` mm, grey around it, and its map."""
+    tones = charts.reflectance(CHART, cell=cell)[::-1]
+    image = np.pad(np.uint8(30 + 200 * tones), border, constant_values=120)
+    matrix = [[1 / cell, 0, border - 0.5], [0, -1 / cell, border - 0.5 + len(tones)], [0, 0, 1]]
+    return image, ChartMap(np.array(matrix))
+
+
+def test_a_chart_without_targets_is_found_by_its_bars():
+    image, truth = printed(3.0)
+    corners = CHART.corners()
+    found = finding.by_bars(image, CHART, 1.0)
+    assert np.abs(found.pixels(corners) - truth.pixels(corners)).max() < 2.5
+    correlation, again = finding.confirmed(image, CHART, truth)
+    assert correlation > 0.95
+    assert np.abs(again.pixels(corners) - truth.pixels(corners)).max() < 0.2
+
+
+def test_small_targets_are_decoded_in_an_image_made_smaller(monkeypatch):
+    image, truth = printed(5.0)  # 18 pixels a side
+    monkeypatch.setattr(finding, "ENLARGED_PIXELS", image.size - 1)
+    markers = finding._markers(CHART)
+    found = dict(finding.decoded(image, markers, 0.5))
+    assert set(found) == set(markers)
+    for key, corners in found.items():
+        assert np.abs(corners - truth.pixels(markers[key].corners()[::-1])).max() < 1.5
+
+
+def test_the_bend_that_print_and_photograph_show_is_found_in_several_steps():
+    terms = np.zeros((4, 4, 2))
+    terms[2, 0], terms[0, 2] = (0.0, 12.0), (9.0, 0.0)  # mm, 4 and 3 pixels
+    flat, fine = printed(3.0)[1], charts.reflectance(CHART, cell=1.0)
+    bent = dataclasses.replace(flat, bend=maps.Bend((CHART.width, CHART.height), terms))
+    pixels = np.indices((454, 454))[::-1].reshape(2, -1).T
+    places = np.float32(bent.chart(pixels) - 0.5).reshape(454, 454, 2)
+    tones = cv2.remap(cv2.blur(fine, (3, 3)), places, None, cv2.INTER_LINEAR)
+    level = alignment.Level(np.uint8(30 + 200 * tones), CHART, flat, 333)
+    found = alignment.with_bend(level, flat)
+    off = found.outline(CHART.corners()) - bent.outline(CHART.corners())
+    assert np.abs(off).max() < 0.25

@@ -6,6 +6,7 @@ import pytest
 
 from mmqa_lab import image_targets
 from mmqa_lab.charts import encode
+from mmqa_lab.mtf import haar_sharpness
 from mmqa_lab.simulate.targets import PointSpread, render_edge
 
 KNOWN = [0.05, 0.2, 0.45, np.nan]
@@ -100,3 +101,25 @@ def test_light_that_falls_along_the_references_is_said_of_a_reflectance(falls, r
     image = values.astype(np.uint16)[None]
     found = image_targets.measure(image, "reflect", targets=table)
     assert ("the light changes by" in found["remarks"].item()) == (falls > 0)
+
+
+def test_sharpness_is_the_median_of_its_blocks_with_the_interval_of_a_median(rng):
+    image = np.kron(rng.integers(40, 200, (40, 60)), np.ones((8, 8)))
+    image = np.roll(image, (3, 3), (0, 1)) + rng.normal(0, 1, (320, 480))
+    row = image_targets.measure(np.uint8(image.round())[None], "sharpness", linear=True).iloc[0]
+    blocks = np.ravel(haar_sharpness(np.uint8(image.round()))["sharpness"])
+    assert row["blocks"] == len(blocks)
+    blocks = blocks[np.isfinite(blocks)]
+    assert len(blocks) > 10
+    low, middle, high = np.quantile(blocks, [0.25, 0.5, 0.75])
+    reach = 1.57 * (high - low) / np.sqrt(len(blocks))  # of a box plot's notch
+    assert row["sharpness"] == pytest.approx(middle)
+    assert row["sharpness_low"] == pytest.approx(middle - reach)
+    assert row["sharpness_high"] == pytest.approx(middle + reach)
+
+
+@pytest.mark.parametrize("what", ["sharpness", "reflect"])
+def test_an_image_without_bands_is_refused_by_its_shape(what, rng):
+    image, table = tarps(rng)
+    with pytest.raises(ValueError, match=r"shape \(20, 80\)\. Must be \(bands, rows, columns\)"):
+        image_targets.measure(image[0], what, targets=table)

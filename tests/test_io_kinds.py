@@ -893,3 +893,45 @@ def test_tables_of_any_form_have_the_same_columns(tmp_path, text):
     (tmp_path / "t.csv").write_text(text)
     table = io.read_table(tmp_path / "t.csv", "table", ("a", "b"))
     assert table[["a", "b"]].to_numpy().tolist() == [[1, 2]]
+
+
+@pytest.mark.parametrize("unit", ['UNIT["metre",1]', 'UNIT["foot",0.3048]'])
+def test_a_system_that_nobody_knows_is_said_and_its_feet_are_refused(tmp_path, unit):
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales = np.full(3, 0.001)
+    text = f'PROJCS["of the site",GEOGCS["none"],PROJECTION["Unheard_Of"],{unit}]'
+    header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(text))
+    record = laspy.LasData(header)
+    record.xyz = PLANE
+    record.write(tmp_path / "s.las")
+    if "foot" in unit:
+        with pytest.raises(ValueError, match=r"in foot.* Must be projected, in metres"):
+            io.read_cloud(tmp_path / "s.las")
+        return
+    cloud, told = said(lambda: io.read_cloud(tmp_path / "s.las"))
+    assert cloud.crs is None
+    assert "s.las names a coordinate system that is not known" in told
+
+
+@pytest.mark.parametrize("form", [1, 6])
+def test_a_laz_file_that_was_written_as_a_stream_has_its_table_s_place_at_its_end(tmp_path, form):
+    points = np.random.default_rng(1).random((50_010, 3))
+    path = las(tmp_path / "c.laz", form, points=points)
+    raw = bytearray(path.read_bytes())
+    first = int.from_bytes(raw[96:100], "little")
+    table = bytes(raw[first : first + 8])
+    raw[first : first + 8] = (-1).to_bytes(8, "little", signed=True)
+    path.write_bytes(raw + table)
+    assert np.abs(io.read_cloud(path).points - points).max() < 0.001
+
+
+def test_heights_that_are_none_are_counted_once_each(tmp_path):
+    heights = np.arange(12, dtype=np.float32).reshape(1, 3, 4)
+    heights[0, 0, :2], heights[0, 2, 3] = -1, 12_000
+    choices = {"width": 4, "height": 3, "count": 1, "dtype": "float32", "driver": "GTiff"}
+    place = rasterio.Affine(1, 0, 0, 0, -1, 3)
+    with rasterio.open(tmp_path / "h.tif", "w", transform=place, nodata=-1, **choices) as file:
+        file.write(heights)
+    found, told = said(lambda: io.read_heights(tmp_path / "h.tif"))
+    assert len(found) == 9
+    assert "Dropped 3 of 12 heights" in told

@@ -694,3 +694,20 @@ def test_lobes_and_halves_that_differ_are_told_by_their_size(grid):
     assert 0.01 < mtf_doubts.one_sided(fitted(across, along, odd)) < 0.1
     assert mtf_doubts.strangeness(fitted(across, along, plain)) <= 0
     assert mtf_doubts.strangeness(fitted(across, along, odd)) == pytest.approx(0.1, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("tail", "taken"), [(0.05, True), (0.4, True), (-0.2, False), (0.7, False)]
+)
+def test_a_lens_s_tail_is_taken_off_and_what_is_none_stays(tail, taken):
+    """A tail falls with the inverse of the distance, to at most half a spread of the step."""
+    rng, spread = np.random.default_rng(3), 1.0
+    across, along = rng.uniform(-30, 30, 4000), rng.uniform(-40, 40, 4000)
+    side = np.sign(across)
+    stated = tail * spread / np.maximum(np.abs(across), 1)  # of what each side misses of its level
+    values = 100 + 50 * side * (1 - 2 * stated) + rng.normal(0, 0.1, 4000)
+    even, step = edges._under_even_light(across, along, values, spread)
+    far = np.abs(across) > 6
+    missing = np.abs(even - (side > 0))[far]
+    assert (abs(step - 100) < 1) == taken
+    assert (np.abs(missing - stated[far]).max() < 0.006) == taken

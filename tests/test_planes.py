@@ -204,3 +204,20 @@ def test_the_deviation_of_a_circle_is_that_of_its_residuals_with_two_degrees_les
         moved = ways * left[:, None] @ inverse
         each = 11 / freedom * (moved**2).sum()
         assert circle.std == pytest.approx(np.sqrt(max(alike, each) / 2), rel=1e-3)
+
+
+def test_a_rough_ring_has_its_centre_only_where_its_diameter_is_known(rng):
+    """With a free radius its points scatter by more than 15 % of it, however many there are."""
+    turn = rng.uniform(0, 2 * np.pi, 4000)
+    radius = 0.04 + rng.normal(0, 0.012, 4000)
+    ring = np.column_stack([radius * np.cos(turn), radius * np.sin(turn)])
+    assert np.isnan(fit_circle(ring).std)
+    assert 0 < fit_circle(ring, diameter=0.08).std < 0.005
+
+
+def test_two_shells_have_a_centre_where_they_lie_closer_than_a_radius(rng):
+    turn, aside = rng.uniform(0, 2 * np.pi, 600), np.repeat([-1, 1], 300)
+    for share, known in ((0.35, True), (1.2, False)):
+        ring = 0.3 * np.column_stack([np.cos(turn), np.sin(turn)])
+        ring[:, 0] += aside * share * 0.3 / 2
+        assert np.isfinite(fit_circle(ring, diameter=0.6).std) == known

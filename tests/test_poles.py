@@ -228,6 +228,11 @@ def test_lessons_leave_out_what_is_neither_near_nor_far(rng):
     measures, label, weight = learned.lessons(points, targets)
     assert 1 <= label.sum() <= 9  # candidates of all scales near the visible one
     assert len(measures) == len(label) == len(weight) < len(learned.describe(points).axes)
+    # a pole counts 2.5 times as much as another, and the cloud as the root of its candidates
+    stated = np.where(label == 1, 2.5, 1.0) / np.sqrt(len(label))
+    assert weight.to_numpy() == pytest.approx(stated)
+    again = learned.lessons(points, targets, weight=3.0, poles=4.0)[2]
+    assert again.to_numpy() == pytest.approx(np.where(label == 1, 12, 3) / np.sqrt(len(label)))
 
 
 def test_candidates_do_not_depend_on_tiles():

@@ -209,3 +209,21 @@ def test_clouds_lie_on_their_faces_with_the_density_asked_for():
     counts = pd.Series(cloud["face"]).value_counts().reindex(range(len(faces)), fill_value=0)
     large = sizes > 200
     assert np.abs(counts[large] / sizes[large] - 0.5).max() < 0.4
+
+
+def test_a_terrestrial_survey_turns_its_edges_a_quarter_as_much_as_a_mobile_one():
+    ends = np.tile([[[0.0, 50, 1], [200, 50, 1]]], (3000, 1, 1))
+    still = canyon.Positioning(np.zeros(3), np.zeros((len(canyon_houses.STREETS), 60, 3)), 0.0)
+    turns = {}
+    for name in ("TLS", "C1"):
+        made = canyon.survey(name, ends, np.zeros(3000, int), np.arange(3000), still, 2.0,
+                             np.random.default_rng(7))  # fmt: skip
+        found = made.segments[made.edge >= 0]
+        way = found[:, 1] - found[:, 0]
+        turns[name] = np.degrees(np.hypot(way[:, 1], way[:, 2]) / np.abs(way[:, 0]))
+        assert (made.edge < 0).mean() == pytest.approx(
+            canyon.CLUTTER / (1 + canyon.CLUTTER), abs=0.02
+        )
+        assert np.sort(np.unique(made.edge[made.edge >= 0])).tolist() == [*range(3000)]
+    assert np.sqrt(np.mean(turns["C1"] ** 2)) == pytest.approx(2.0, rel=0.05)
+    assert np.sqrt(np.mean(turns["TLS"] ** 2)) == pytest.approx(0.5, rel=0.05)

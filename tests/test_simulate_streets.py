@@ -186,3 +186,12 @@ def test_visible_poles_have_points_lines_and_a_height(rng):
         assert (row.points, row.sweeps) == (len(own), own["scan_line"].nunique())
         assert row.span_m == pytest.approx(span)
     assert found["visible"].tolist() == [True, False, False, False, False]
+
+
+def test_signs_face_along_the_road_within_eight_degrees():
+    _, parts = drawn("sign", 600)
+    normals = np.array([one[1].shape[0, 6:8] for one in parts])
+    off = np.degrees(np.arctan(normals[:, 0] / normals[:, 1]))
+    assert off.std() == pytest.approx(8, rel=0.1)
+    assert abs(off.mean()) < 1.5
+    assert np.mean(normals[:, 1] > 0) == pytest.approx(0.5, abs=0.08)

@@ -443,3 +443,17 @@ def test_a_rosette_fills_a_cone_of_seventy_degrees_and_noise_lies_along_beams():
     assert ranges.std() == pytest.approx(0.004, rel=0.05)
     assert ranges.mean() == pytest.approx(10, abs=3e-4)
     assert np.abs(cast @ [0.6, -0.8, 0.0]).max() < 1e-9
+
+
+@pytest.mark.parametrize(("top", "missed"), [(1.0, 0), (0.5, 25)])
+def test_a_corner_is_missed_in_percent_of_its_two_metres(top, missed, rng):
+    along, up = (
+        one.ravel() for one in np.meshgrid(np.arange(0, 1, 0.02), np.arange(-1, top, 0.02))
+    )
+    walls = np.concatenate(
+        [np.column_stack([along, up, 0 * up]), np.column_stack([0 * up, up, along])]
+    )
+    walls += rng.normal(0, 0.002, walls.shape)
+    found = tasks.corner_errors(walls, np.repeat([0, 1], len(up)))
+    assert found["edge_missed_percent"] == pytest.approx(missed, abs=7)
+    assert found["edge_mm"] < 3

@@ -57,6 +57,7 @@ EQUIVALENT = {
     ("simulate/scan.py", "_pass_near", "along <= -limit or square - along * along > limit * limit",
      "(along <= -limit and square - along * along > limit * limit)"): "more beams are cast in vain",
     ("cloud.py", "unit_remarks", "7", "(14)"): "how many places are looked at",
+    ("simulate/scan.py", "_may_meet", "1e-9", "(2e-09)"): "it keeps a division finite",
     ("simulate/point_patterns.py", "point_pattern", "size * np.sqrt(0.5)",
      "(size / np.sqrt(0.5))"): "a wider field is drawn, of which the same square is cut",
 }  # fmt: skip
