@@ -260,7 +260,7 @@ def _runs(sides, cell, clear):
         first, last = edges[start], edges[stop]
         if not all(_full(side, edges[[start, stop]], cell, clear)[0] for side in sides):
             continue
-        ends = [_ends(side[0], first, last, cell) for side in sides]
+        ends = [_reached(side[0], first, last, cell) for side in sides]
         lows, highs, counts = zip(*ends, strict=True)
         yield max(lows), min(highs), counts
 
@@ -282,7 +282,7 @@ def _full(side, edges, cell, clear):
     return fair & (nearest <= clear + away)
 
 
-def _ends(side, first, last, cell):
+def _reached(side, first, last, cell):
     """Both ends of a side about a run of bins, and the number of points between them.
 
     An end is its station along the line and its standard deviation, m.

@@ -92,7 +92,9 @@ def map_campaign(
     paths = _files(paths)
     cell, radius = check_positive(cell, "cell", unit="m"), check_positive(radius, "radius")
     tile = min(check_count(tile, "tile"), max(1, round(TILE_M / cell)))
-    files = [[str(one), one.stat().st_size, one.stat().st_mtime_ns, _ends(one)] for one in paths]
+    files = [
+        [str(one), one.stat().st_size, one.stat().st_mtime_ns, _hash_of_ends(one)] for one in paths
+    ]
     functions = chosen_metrics(metrics)
     run = {"cell": cell, "radius": radius, "tile": tile, "files": files, "metrics": [*functions]}
     own, kept = Path(folder).resolve() / OWN, _record(folder)
@@ -142,7 +144,7 @@ def _computed(function, tasks, unit, client):
         pool.shutdown(cancel_futures=True)
 
 
-def _ends(path):
+def _hash_of_ends(path):
     """The hash of the first and the last MB of a file: others may have its size and time."""
     with path.open("rb") as file:
         content = file.read(2**20)

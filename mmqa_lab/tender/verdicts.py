@@ -234,7 +234,7 @@ def _row(system, criterion, figure):
     if marks:  # better marks are fewer steps from a
         relation = relation.replace(">", "<")
     place = criterion if figure is None else figure
-    rank, low, high = (np.nan,) * 3 if figure is None else _ends(criterion, figure, marks)
+    rank, low, high = (np.nan,) * 3 if figure is None else _ranked(criterion, figure, marks)
     row = {"system": system, "criterion": criterion.criterion, "quantity": criterion.quantity}
     row |= {name: getattr(place, name) for name in PLACE}
     row |= {"value": None if figure is None else figure.value, "low": low, "high": high}
@@ -247,7 +247,7 @@ def _row(system, criterion, figure):
     return row | {"verdict": verdict(rank, relation, limit, **known)}
 
 
-def _ends(criterion, figure, marks):
+def _ranked(criterion, figure, marks):
     """A figure as a number, and the ends of its interval; NaN where it was not measured."""
     rank = rank_of(figure.value, criterion.quantity)
     other = np.isfinite(rank) and marks != is_mark(figure.value)
