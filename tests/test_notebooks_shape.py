@@ -217,7 +217,7 @@ TYPED = {
     "aniso00": "the paper's threshold",
     "lhd20": "worked out by hand from the formula",
     "lhd38": "a limit that the cell sets",
-    "pol26": "the report's corridor",
+    "pol27-text": "the report's corridor",
     "resolution-05": "the frequency asked for",
     "resolution-27": "published",
     "cell-07": "a width that the cell sets",

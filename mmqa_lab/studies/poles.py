@@ -16,13 +16,14 @@ from scipy.stats import binomtest, siegelslopes
 from mmqa_lab import io, poles, samples, stats
 from mmqa_lab.bench import Comparison, cell_table, remarked
 from mmqa_lab.cloud import Cloud
+from mmqa_lab.poles import learned
 from mmqa_lab.poles.common import joined
 from mmqa_lab.published import ledger
 from mmqa_lab.simulate import streets
 from mmqa_lab.simulate.scan import scan
 
 __all__ = [
-    "ASKED", "CLASSES", "CORRIDORS_M", "METHODS", "OAKLAND", "PARTS", "PRINTED", "PUBLIC",
+    "ASKED", "CLASSES", "CORRIDORS_M", "LABELS", "METHODS", "OAKLAND", "PARTS", "PRINTED", "PUBLIC",
     "above_chosen", "bench", "beside_published", "counts", "crowded", "differences", "f1",
     "oakland", "outcomes", "paired", "public_poles", "rates", "scene",
 ]  # fmt: skip
@@ -32,6 +33,21 @@ CLASSES = ("tree", "sign", "lamp", "other")
 
 METHODS = {name: partial(poles.detect, method=name) for name in poles.METHODS}
 """The detectors of the package as functions of a cloud."""
+
+LABELS = (
+    "clean run (m)", "clean run of\na 15 cm core (m)", "clean run of\na 40 cm core (m)",
+    "radius of the core (m)", "foot of the run (m)", "run, whatever is\naround it (m)",
+    "log of the core's\npoints a metre", "share of the 2 m above\nwith a shell of points",
+    "share of the plan with\npoints above the run", "share of the run with\npoints beside it",
+    "log of the points\nwithin 0.7 m", "distance from what\nstands beside (m)",
+    "radius of the circle (m)", "misfit of the circle\nby its radius",
+    "share of the circle's\ndirections with points", "length of the run\nby the diameter",
+    "width of the head\nby that below", "highest bin (m)", "share around with\npoints, up to 1 m",
+    "share around with\npoints, 1 to 2.5 m", "share around with\npoints, 2.5 to 5 m",
+    "share around with\npoints, above 5 m", "extent in plan (m)", "height by the extent",
+)  # fmt: skip
+LABELS = dict(zip(learned.MEASURES, LABELS, strict=True))
+"""The measures of the learned detector as labels of axes."""
 
 SEEDS = range(7341, 7349)
 """Streets of the study; the trees of the learned detector are grown on other streets."""
