@@ -279,6 +279,14 @@ def test_what_the_core_needs_for_a_raster_is_said(tmp_path, monkeypatch):
         io.read_heights(tmp_path / "i.tif")
 
 
+def test_a_command_names_the_extra_that_it_misses(tmp_path, monkeypatch, capsys):
+    pypcd4.PointCloud.from_xyz_points(np.zeros((3, 3), np.float32)).save(tmp_path / "a.pcd")
+    monkeypatch.setitem(sys.modules, "pypcd4", None)
+    assert main(["evaluate", str(tmp_path / "a.pcd")]) == 2
+    said = capsys.readouterr().err
+    assert said == "mmqa evaluate: Missing pypcd4: install mmqa_lab[files].\n"
+
+
 def test_an_outline_without_heights_is_laid_onto_the_surface_and_not_what_stands_on_it(rng):
     xy = rng.uniform(0, 10, (600, 2)) + [450_000, 5_400_000]
     z = 30 + 0.2 * (xy[:, 0] - 450_000) - 0.1 * (xy[:, 1] - 5_400_000)

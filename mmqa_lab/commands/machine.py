@@ -208,7 +208,7 @@ def sentence_of(error, given):
         return f"Invalid MPLBACKEND {backend}. Must name an installed module, or be agg."
     if isinstance(error, CycloptsError):
         return _call_sentence(error, text)
-    if isinstance(error, ImportError | OSError) or text.startswith("Invalid"):
+    if isinstance(error, ImportError | OSError) or text.startswith(("Invalid", "Missing")):
         return text
     if isinstance(error, MemoryError):
         return f"Invalid input {given}: it needs more memory than there is. Must be smaller."

@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
+from mmqa_lab._checks import needs
 from mmqa_lab._compiled import njit
 from mmqa_lab._progress import progress
 from mmqa_lab.poles.axes import candidates, fit_axes
@@ -309,7 +310,7 @@ def grow(measures, label, weight=None, *, start=None, rounds=200, leaves=16, rat
     leave : tuple of str
         Measures that the new trees may not use.
     """
-    import lightgbm
+    lightgbm = needs("poles", "lightgbm")
 
     x = measures.to_numpy(float) * ~np.isin(list(MEASURES), leave)
     fewest = int(np.clip(len(label) / 280, 5, 100))  # of candidates in a leaf
