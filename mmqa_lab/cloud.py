@@ -18,6 +18,7 @@ from mmqa_lab._checks import (
     check_same_crs,
     real_array,
     refuse,
+    remark_on_map,
 )
 
 if TYPE_CHECKING:
@@ -206,7 +207,7 @@ def step_of(points: np.ndarray) -> float:
     >>> step_of(np.arange(60).reshape(20, 3) * 0.0007 + 5_300_000)
     0.0001
     """
-    if len(points) <= 10 or not np.isfinite(points).all():
+    if len(points) <= 10 or not np.isfinite(points).all() or not np.ptp(points):
         return np.nan
     local = points[:: 1 + len(points) // 1000] - points[0]
     steps = np.outer([0.1, 0.01, 0.001, 0.0001], [1, 0.5, 0.2]).ravel()[:-2]  # to 0.1 mm
@@ -242,7 +243,8 @@ def unit_remarks(
     Reading warns of it (``io.read_cloud``, ``io.iterate_cloud``), since files often name no
     coordinate system. What cannot be in metres is said: more than a hundred million points in a
     square metre of a cloud higher than wide (degrees), steps of a whole metre, or points that lie
-    metres apart (millimetres, centimetres). Feet cannot be told from coordinates.
+    metres apart (millimetres, centimetres). Feet cannot be told from coordinates. So is a system
+    whose map stretches lengths by more than half a per cent, as Web Mercator does.
 
     Parameters
     ----------
@@ -272,6 +274,8 @@ def unit_remarks(
     points = check_points(points, minimum=0)
     if crs is not None and crs.is_geocentric:
         return [f"Coordinates are geocentric ({crs.name}): z is not upwards."]
+    if len(points) and (stretched := remark_on_map(crs, np.median(points[:, :2], axis=0))):
+        return [stretched]
     if len(points) < FEWEST_FOR_UNIT or (crs is not None and crs.is_geographic):
         return []
     few = points[:: len(points) // FEWEST_FOR_UNIT]

@@ -74,3 +74,20 @@ def test_several_beams_of_a_spinning_scanner_are_said_where_intervals_are_given(
         (Cloud(points[:40], {"ring": ring[:40]}), None),  # has no intervals
     ):
         assert not any("beams" in one for one in evaluate_cloud(cloud, polygon=polygon).remarks)
+
+
+@pytest.mark.parametrize("axis", [2, 1])
+def test_steps_of_the_axis_across_a_surface_decide_its_noise(rng, axis):
+    """Heights of a text in centimetres, plan in millimetres: the noise of a level surface alone."""
+    points = np.insert(rng.random((3000, 2)), axis, rng.normal(0, 0.003, 3000), axis=1)
+    points = np.round(points * 1000) / 1000 + [452_000, 5_411_000, 300]
+    fine = evaluate_cloud(points)
+    assert "sigma_MAD" not in " ".join(fine.remarks)
+    points[:, axis] = np.round(points[:, axis], 2)
+    coarse = evaluate_cloud(points)
+    words = "Coordinates are in steps of 10 mm: too coarse for sigma_MAD"
+    assert coarse.remarks[0].startswith(words)
+    assert "d1" not in coarse.remarks[0]  # the distances within the surface are as before
+    assert not [one for one in coarse.remarks if "stand off" in one or "layers" in one]
+    assert coarse.step_mm == pytest.approx(1)
+    assert coarse.d1_mm == pytest.approx(fine.d1_mm, rel=0.01)

@@ -3,13 +3,14 @@
 import warnings
 
 import numpy as np
+import pyproj
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmqa_lab import samples
 from mmqa_lab.cloud import Cloud, describe, unit_remarks
-from mmqa_lab.io import read_cloud
+from mmqa_lab.io import read_cloud, write_cloud
 
 PER_DEGREE_M = 111_000.0
 
@@ -78,3 +79,31 @@ def test_columns_of_texts_and_numbers_that_lack_some_are_counted():
     texts = np.array(["wall", np.nan, "roof"], dtype=object)
     cloud = Cloud(np.zeros((3, 3)), {"label": texts, "ring": [1.0, np.nan, np.nan]})
     assert describe(cloud)["columns"] == "label (3), ring (2)"
+
+
+@pytest.mark.parametrize(
+    ("system", "east", "north", "stretched"),
+    [
+        # of a sphere the Mercator map is 1 / cos(latitude) as long: at 49 degrees 1.52
+        ("EPSG:3857", 935_000, 6_275_000, "52 % longer"),
+        ("EPSG:3035", 2_700_000, 1_900_000, "1.3 % longer"),
+        ("EPSG:3034", 4_000_000, 2_800_000, "3.4 % shorter"),
+        ("EPSG:3857+5783", 935_000, 6_275_000, "52 % longer"),
+        ("EPSG:25832", 456_000, 5_429_000, ""),
+        ("EPSG:25832", 833_000, 5_400_000, ""),  # at the edge of its zone
+        ("EPSG:2056", 2_600_000, 1_200_000, ""),
+        ("EPSG:2154", 100_000, 6_200_000, ""),
+        ("EPSG:27700", 400_000, 300_000, ""),
+    ],
+)
+def test_maps_that_are_longer_than_the_ground_are_said(tmp_path, system, east, north, stretched):
+    crs = pyproj.CRS(system)
+    points = np.random.default_rng(1).random((500, 3)) * [1, 0.01, 1] + [east, north, 100]
+    said = " ".join(unit_remarks(points, crs=crs))
+    assert (stretched and f"are {stretched} here than on the ground") in said
+    assert stretched or "on the ground" not in said
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        write_cloud(tmp_path / "c.laz", Cloud(points, crs=crs))
+        read_cloud(tmp_path / "c.laz")
+    assert any("on the ground" in str(one.message) for one in told) == bool(stretched)

@@ -1,7 +1,9 @@
 """Clouds in the forms of other programs: E57, PCD, PTX; and what is not read is named."""
 
+import bz2
 import http.server
 import json
+import lzma
 import sys
 import threading
 
@@ -179,6 +181,8 @@ def test_real_files_of_other_programs(real):
 
 @pytest.mark.parametrize(("name", "content", "part"), [
     ("a.zip", b"PK\x03\x04rest", "a compressed archive. Must be another; unpack it"),
+    ("b.xyz", bz2.compress(b"0 0 0\n"), "a compressed archive. Must be another; unpack it"),
+    ("l.csv", lzma.compress(b"x,y,z\n"), "a compressed archive. Must be another; unpack it"),
     ("dtm.asc", b"ncols 12\nnrows 9\n", "an ESRI grid"),
     ("a.xyz", b"SQLite format 3\0", "a GeoPackage"),
     ("scan.fls", b"whatever", "a scanner's own format. Must be another; save it as E57"),

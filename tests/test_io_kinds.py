@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import struct
 import subprocess
 import sys
 import warnings
@@ -935,3 +936,13 @@ def test_heights_that_are_none_are_counted_once_each(tmp_path):
     found, told = said(lambda: io.read_heights(tmp_path / "h.tif"))
     assert len(found) == 9
     assert "Dropped 3 of 12 heights" in told
+
+
+def test_points_that_are_dropped_are_not_counted_besides(tmp_path):
+    path = las(tmp_path / "i.las")
+    raw = bytearray(path.read_bytes())
+    raw[155:163] = struct.pack("<d", np.inf)  # the offset of x
+    path.write_bytes(raw)
+    _, told = said(lambda: list(io.iterate_cloud(path)))
+    assert "Dropped 120 of 120 points" in told
+    assert "Counted" not in told

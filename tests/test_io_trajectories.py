@@ -1,6 +1,7 @@
 """Paths of navigation software: the same drive in every form, and headings against the movement."""
 
 import json
+import re
 import warnings
 
 import numpy as np
@@ -233,3 +234,42 @@ def test_a_path_in_kilometres_is_said(tmp_path):
     np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header="time,x,y,z", comments="")
     with pytest.warns(UserWarning, match=r"moves at 0\.008 m/s: are its coordinates in metres"):
         io.read_trajectory(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize(
+    ("roll", "pitch", "words"),
+    [
+        (180.0, 1.0, "middle roll of .* is 180 degrees: the vehicle would lie over"),
+        (0.5, -90.0, "middle pitch of .* is 90 degrees"),
+        (359.5, 1.0, ""),  # counted from 0 to 360
+        (30.0, -20.0, ""),
+    ],
+)
+def test_a_vehicle_on_its_back_is_said(tmp_path, roll, pitch, words):
+    east = np.arange(20.0)
+    rows = {"time_s": east, "easting_m": 5 * east, "northing_m": 0.0, "height_m": 2.0}
+    rows |= {"roll_deg": roll, "pitch_deg": pitch, "heading_deg": 90.0}
+    pd.DataFrame(rows).to_csv(tmp_path / "p.csv", index=False)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        table = io.read_trajectory(tmp_path / "p.csv")
+    said = " ".join(str(one.message) for one in told)
+    assert re.search(words, said) if words else not said
+    assert table["roll_deg"].tolist() == [roll] * 20
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("$GPGGA,120000.00,4848.0,N,00818.0,E,4,12,0.8,115.0,M,48.0,M,,*5C", "NMEA sentences"),
+        ('<?xml version="1.0"?>\n<gpx><trk></trk></gpx>', "a GPX track"),
+        ("<kml></kml>", "an XML file"),
+        ("<html></html>", "a web page"),
+    ],
+)
+def test_paths_that_are_not_read_are_named(tmp_path, content, words):
+    (tmp_path / "p.txt").write_text(f"{content}\n" * 3)
+    with pytest.raises(
+        ValueError, match=rf"Invalid trajectory .*p\.txt: {words}\. Must be another"
+    ):
+        io.read_trajectory(tmp_path / "p.txt")

@@ -400,6 +400,18 @@ def test_different_places_never_count_as_one_and_steps_are_found_as_in_a_chart()
     assert "steps of 10 mm" in maps.map_cloud(coarse).attrs["remarks"]
 
 
+def test_heights_in_coarser_steps_than_the_plan_are_said_of_a_cloud_and_of_a_campaign(
+    tmp_path, rng
+):
+    points = np.column_stack([10 * rng.random((3000, 2)), rng.normal(100, 0.002, 3000)])
+    np.savetxt(tmp_path / "a.xyz", points, fmt=["%.3f", "%.3f", "%.2f"])
+    words = "Coordinates are in steps of 10 mm: too coarse for sigma_MAD"
+    whole = maps.map_cloud(io.read_cloud(tmp_path / "a.xyz"), cell=2.0)
+    assert words in whole.attrs["remarks"]
+    maps.map_campaign([tmp_path / "a.xyz"], tmp_path / "map", cell=2.0)
+    assert words in maps.open_map(tmp_path / "map").attrs["remarks"]
+
+
 def test_distances_from_the_planes_of_groups_and_equal_places_are_those_of_a_loop(rng):
     counts = np.array([4, 30, 9])
     starts, group = np.array([0, 4, 34]), np.repeat(np.arange(3), counts)

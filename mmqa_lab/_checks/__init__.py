@@ -4,7 +4,7 @@
 from mmqa_lab._checks.arrays import (
     FARTHEST_M, check_image, check_plan, check_points, check_polygon, check_row, check_same_crs,
     check_together, check_upright, check_values, coordinate_columns, plain_name,
-    polygon_rings, real_array,
+    polygon_rings, real_array, remark_on_map,
     type_step,
 )  # fmt: skip
 from mmqa_lab._checks.words import (
@@ -17,5 +17,6 @@ __all__ = [
     "check_kind", "check_known", "check_number", "check_outputs", "check_plan", "check_points",
     "check_polygon", "check_positive", "check_row", "check_same_crs", "check_together",
     "check_upright", "check_values", "coordinate_columns", "full_path", "is_file", "listed",
-    "needs", "plain_name", "polygon_rings", "real_array", "refuse", "type_step",
+    "needs", "plain_name", "polygon_rings", "real_array", "refuse", "remark_on_map",
+    "type_step",
 ]  # fmt: skip

@@ -13,12 +13,15 @@ from mmqa_lab._checks.words import listed, refuse
 __all__ = [
     "check_image", "check_plan", "check_points", "check_polygon", "check_row", "check_same_crs",
     "check_together", "check_upright", "check_values", "coordinate_columns", "plain_name",
-    "real_array", "type_step",
+    "real_array", "remark_on_map", "type_step",
 ]  # fmt: skip
 
 
 # No place is as far from the origin, m.
 FARTHEST_M = 1e15
+
+# Share by which lengths may differ on a map; in national grids they differ by less than half of it.
+MOST_STRETCHED = 0.005
 
 # Names of coordinates in tables.
 PLAN_NAMES = (("x", "y"), ("easting", "northing"), ("east", "north"), ("rechtswert", "hochwert"))
@@ -299,6 +302,32 @@ def check_same_crs(name, crs, other_name, other):
         if axis.unit_conversion_factor != 1:
             odd = f"{'with heights ' if axis.direction == 'up' else ''}in {axis.unit_name}"
             raise ValueError(f"Invalid {name} {odd} ({crs.name}). Must be projected, in metres.")
+
+
+def remark_on_map(crs, place):
+    """Return what is said where a map is longer or shorter than the ground at a place (x, y).
+
+    Examples
+    --------
+    >>> import pyproj
+    >>> remark_on_map(pyproj.CRS("EPSG:3857"), (935_000, 6_275_000))  # Karlsruhe
+    'Lengths in WGS 84 / Pseudo-Mercator are 52 % longer here than on the ground.'
+    >>> remark_on_map(pyproj.CRS("EPSG:25832"), (456_000, 5_429_000))
+    ''
+    """
+    import pyproj
+
+    if crs is None or not crs.is_projected:
+        return ""
+    try:
+        proj = pyproj.Proj(crs)
+        off = proj.get_factors(*proj(*place, inverse=True)).tissot_semimajor - 1
+    except pyproj.exceptions.ProjError:  # a place that the map does not have
+        return ""
+    if not MOST_STRETCHED < abs(off) < np.inf:
+        return ""
+    way = "longer" if off > 0 else "shorter"
+    return f"Lengths in {crs.name} are {100 * abs(off):.2g} % {way} here than on the ground."
 
 
 def check_upright(name, crs):

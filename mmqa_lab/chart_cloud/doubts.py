@@ -32,8 +32,8 @@ FAR_QUANTILES = 3.0
 PAIRS = 5.0
 """Points come in pairs if d2 / d1 is larger. It is 1.7 for random points and 2 on lines."""
 
-COARSE_MM = 1e-3
-"""Smaller steps of coordinates are never too coarse."""
+COARSE_MM, DIGIT_LESS = 1e-3, 4.0
+"""Smaller steps of coordinates are never too coarse; ratio from which those of an axis count."""
 
 FULL = 1.5
 """Ratio of a polygon's area to the hull of its points above which a remark is given."""
@@ -62,12 +62,13 @@ MOST_FITTED = 10_000
 """Points that the plane of most points is fitted to."""
 
 
-def remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
+def remarks_on_points(gaps, steps_mm, sigma_mm, hull_m2, outline_m2, axes):
     """Return remarks on figures that these points cannot give or give wrongly."""
     d1_mm, d2_mm = 1000 * gaps.d[:2]
     away = np.hypot(*(gaps.xy - np.median(gaps.xy, axis=0)).T)
     far = away > FAR_QUANTILES * np.percentile(away, 90)
-    coarse, steps = of_steps(step_mm, sigma_mm, d1_mm)
+    step_mm, across_mm = steps_mm
+    coarse, steps = of_steps(step_mm, sigma_mm, d1_mm, across_mm)
     without = " d1 to d4, f and g have no intervals." * bool(is_coarse(d1_mm, step_mm))
     return sentences(
         (coarse, steps + without),
@@ -103,12 +104,18 @@ def remarks_on_points(gaps, step_mm, sigma_mm, hull_m2, outline_m2, axes):
     )
 
 
-def of_steps(step_mm, sigma_mm, d1_mm):
-    """Return whether steps of coordinates decide figures, and the remark on them."""
-    coarse = [f"sigma_MAD {sigma_mm:.3g} mm"] * int(step_mm > sigma_mm)
+def of_steps(step_mm, sigma_mm, d1_mm, across_mm):
+    """Return whether steps of coordinates decide figures, and the remark on them.
+
+    ``across_mm``: the step along the normal, that of the points or, where one axis has a digit
+    less, its own; a smaller difference may be by chance, as of heights of two values.
+    """
+    across_mm = across_mm if across_mm > DIGIT_LESS * step_mm else step_mm
+    coarse = [f"sigma_MAD {sigma_mm:.3g} mm"] * int(across_mm > sigma_mm)
+    largest = across_mm if coarse else step_mm
     coarse += [f"d1 {d1_mm:.3g} mm"] * int(is_coarse(d1_mm, step_mm))
-    steps = f"Coordinates are in steps of {step_mm:.3g} mm: too coarse for {' and '.join(coarse)}."
-    return step_mm > COARSE_MM and coarse, steps
+    steps = f"Coordinates are in steps of {largest:.3g} mm: too coarse for {' and '.join(coarse)}."
+    return largest > COARSE_MM and coarse, steps
 
 
 def of_pairs(d1_mm, d2_mm):

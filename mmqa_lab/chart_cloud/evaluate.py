@@ -101,7 +101,8 @@ def evaluate_cloud(
     -----
     A remark is given if the step of the coordinates is larger than sigma_MAD or than a fifth of d1.
     The step is the ``resolution`` of the cloud, or a larger step of which all coordinates are
-    multiples, from 0.1 mm to 0.1 m.
+    multiples, from 0.1 mm to 0.1 m; for sigma_MAD also that of one axis alone, as of heights in
+    centimetres, for its part along the normal.
 
     The principal axes of a nearly square selection have a random direction (a remark states this).
     f depends on the axes: scan lines along an axis and oblique scan lines give different f.
@@ -136,6 +137,8 @@ def evaluate_cloud(
         points, ring = points[inside], ring[inside] if len(ring) else ring
     step_mm = 1000 * np.fmax.reduce([resolution, step_of(points), np.spacing(np.abs(points).max())])
     plane = checked_plane(points)
+    across = np.abs(plane.normal) * [step_of(axis[:, None]) for axis in points.T]
+    across_mm = np.fmax(step_mm, 1000 * np.fmax.reduce(across))
     sigma_mad_mm = 1000 * sigma_mad(plane.residuals, scale)
     if axes is None:
         axes = "horizontal" if abs(plane.normal[2]) < UPRIGHT_COSINE else "principal"
@@ -144,9 +147,10 @@ def evaluate_cloud(
     hull = shapely.convex_hull(shapely.linestrings(xy))
     outline = hull if polygon is None else outline_on(polygon, framed, surface.normal)
     gaps = checked_spacing(xy, radius)
-    remarks = remarks_on_points(gaps, step_mm, sigma_mad_mm, hull.area, outline.area, axes)
+    steps_mm = step_mm, across_mm
+    remarks = remarks_on_points(gaps, steps_mm, sigma_mad_mm, hull.area, outline.area, axes)
     given = polygon is not None
-    remarks += remarks_on_surface(points, plane, xy, outline, given, step_mm, scale)
+    remarks += remarks_on_surface(points, plane, xy, outline, given, across_mm, scale)
     remarks += sentences(of_turns(len(np.unique(ring)))) if gaps.n >= FEWEST_POINTS else ()
     return CloudQuality(
         area_polygon_m2=outline.area if given else np.nan,

@@ -160,7 +160,7 @@ def iterate_cloud(
         yield cloud
     refuse(scan is not None and not read, f"scan {scan} of cloud {path}", "none of it", "in it")
     told = [("Dropped", *row) for row in dropped.items()]
-    for verb, reason, count in [*told, *(("Counted", *row) for row in counted.items())]:
+    for verb, reason, count in [*told, *(("Counted", *row) for row in (+counted).items())]:
         warnings.warn(f"{verb} {count} of {read} points of {path} that {reason}.", stacklevel=3)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from mmqa_lab._checks import refuse
 
-__all__ = ["check_headings", "check_scales", "matched_times"]
+__all__ = ["check_headings", "check_scales", "check_upright", "matched_times"]
 
 # Headings so far off the movement are none; from here on they are doubted.
 OTHER_HEADING_DEG, DOUBTED_HEADING_DEG = 45.0, 1.0
@@ -69,6 +69,18 @@ def check_headings(table, what):
     refuse(other, what, told, "clockwise from north, in degrees")
     if abs(middle) >= DOUBTED_HEADING_DEG:
         warnings.warn(f"{told[0].upper()}{told[1:]} in {what}.", stacklevel=3)
+
+
+def check_upright(table, what):
+    """Say it where a vehicle lies on its side or its back: another frame, or another unit."""
+    for name in [one for one in ("roll_deg", "pitch_deg") if one in table]:
+        middle = np.median(np.abs(_off(table[name].to_numpy(), 0)))
+        if middle >= OTHER_HEADING_DEG:
+            name = name.partition("_")[0]
+            told = (
+                f"The middle {name} of {what} is {middle:.0f} degrees: the vehicle would lie over"
+            )
+            warnings.warn(f"{told}, as in the frame of a sensor.", stacklevel=3)
 
 
 def check_scales(table, what):

@@ -23,7 +23,7 @@ from mmqa_lab._checks import (
     refuse,
 )
 from mmqa_lab.cloud import unit_remarks
-from mmqa_lab.io.files import plain_text, reading
+from mmqa_lab.io.files import plain_text, reading, refuse_unread
 from mmqa_lab.io.numbers import parsed
 
 __all__ = [
@@ -122,6 +122,7 @@ def sheet_text(path, name):
     """Return the text of a file of rows: of a workbook, the first sheet as CSV."""
     path = check_file(path, name)
     if path.suffix.lower() not in (".xlsx", ".xlsm"):
+        refuse_unread(path, name, endings=())
         return plain_text(path)
     openpyxl = needs("files", "openpyxl")
     with reading(path, name, "an Excel workbook"):

@@ -11,7 +11,14 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_columns, check_file, coordinate_columns, listed, refuse
-from mmqa_lab.io.path_doubts import DAY_S, WEEK_S, check_headings, check_scales, matched_times
+from mmqa_lab.io.path_doubts import (
+    DAY_S,
+    WEEK_S,
+    check_headings,
+    check_scales,
+    check_upright,
+    matched_times,
+)
 from mmqa_lab.io.systems import named_system
 from mmqa_lab.io.tables import text_table, with_numbers
 
@@ -82,8 +89,8 @@ def read_trajectory(
     Warns
     -----
     UserWarning
-        If headings lie a degree or more off the movement, of what seconds the times are taken for,
-        and of what is not read.
+        If headings lie a degree or more off the movement, if the vehicle would lie over, of what
+        seconds the times are taken for, and of what is not read.
 
     Examples
     --------
@@ -136,6 +143,7 @@ def read_trajectory(
     driven = table.assign(time_s=late).sort_values("time_s", ignore_index=True)
     check_scales(driven, what)
     check_headings(driven, what)
+    check_upright(driven, what)
     if wrapped:
         check_columns(table, ["heading_deg"], f"{what}, in which the GPS week ends")
         warnings.warn(f"The GPS week ends within {what}: its times are in two parts.", stacklevel=2)

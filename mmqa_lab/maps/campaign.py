@@ -220,7 +220,7 @@ def _sort_file(own, file, cell, tile, again):
     index = own / f"{key}{WORKING}"
     if again and (found := _kept(index)):
         return found
-    found = {"path": file[0], "n": 0, "crs": None, "step": 0.0, "slices": []}
+    found = {"path": file[0], "n": 0, "crs": None, "step": 0.0, "rise": 0.0, "slices": []}
     ends, total = [], np.zeros(3)
     remote = multiprocessing.parent_process() is not None  # what is said here, nobody reads
     with warnings.catch_warnings(record=True) if remote else nullcontext([]) as said:
@@ -237,6 +237,8 @@ def _sort_file(own, file, cell, tile, again):
             found["crs"] = None if part.crs is None else part.crs.to_wkt()
             steps = found["step"], part.resolution, step_of(part.points)
             found["step"] = float(np.fmax.reduce(steps))
+            steps = found["rise"], found["step"], step_of(part.points[:, 2:])
+            found["rise"] = float(np.fmax.reduce(steps))
             found["n"] += len(part)
             total += [axis.sum() for axis in (part.points - ends[0]).T]
     if found["n"]:
@@ -277,8 +279,9 @@ def _joined(files, run, said):
         columns=["name", "column", "row", "start", "stop"],
     )
     side, tiles = _tiles(slices, run["tile"])
-    step, crs = max(file["step"] for file in counted), None if crs is None else crs.to_wkt()
-    return slices, {"side": side, "tiles": tiles, "crs": crs, "step": step, "remarks": remarks}
+    steps = {name: max(file[name] for file in counted) for name in ("step", "rise")}
+    crs = None if crs is None else crs.to_wkt()
+    return slices, {"side": side, "tiles": tiles, "crs": crs, "remarks": remarks} | steps
 
 
 def _has_same_points(file, other):

@@ -120,12 +120,13 @@ def map_cloud(
     cell, radius = check_positive(cell, "cell", unit="m"), check_positive(radius, "radius")
     check_extent(points, cell, len(points))
     step = np.fmax(step, step_of(points))
+    rise = np.fmax(step, step_of(points[:, 2:]))
     functions = chosen_metrics(metrics)
     index = cells_of(points[:, :2], cell)
     inner = np.ones(len(points), dtype=bool)
     table = evaluated_cells(points, index, inner, cell, radius, functions)
     remarks = unit_remarks(points, crs=crs)
-    about = {"cell": cell, "radius": radius, "step": step, "remarks": remarks}
+    about = {"cell": cell, "radius": radius, "step": step, "rise": rise, "remarks": remarks}
     found = dataset_of(table, about | {"metrics": list(functions)})
     return found if crs is None else placed(found, crs)
 
@@ -245,17 +246,17 @@ def dataset_of(table, run):
     }
     medians = pd.DataFrame(table[:, 2 : 2 + len(FIGURES)], columns=list(FIGURES)).median()
     same = np.nansum(data["coincident"][1]), data["n"][1].sum()
-    remarks = [*run["remarks"], *_remarks(medians, step_mm, int(below.sum()), *same)]
+    remarks = [*run["remarks"], *_remarks(medians, run, int(below.sum()), *same)]
     about = {"cell_m": cell, "radius_m": run["radius"], "remarks": " ".join(remarks)}
     return xr.Dataset(data, coords=axes, attrs=about)
 
 
-def _remarks(medians, step_mm, below, same, count):
+def _remarks(medians, run, below, same, count):
     """What speaks against the figures of a map."""
     d1, d2, sigma = medians[["d1", "d2", "sigma_mad"]]
     near = f"f is not measured in {below} cells: points lie nearer than the steps"
     return sentences(
-        of_steps(step_mm, sigma, d1),
+        of_steps(1000 * run["step"], sigma, d1, 1000 * run["rise"]),
         (below, f"{near}, as of tiles that overlap; the density counts both."),
         of_pairs(d1, d2),
         (same, of_copies(same, count)),
