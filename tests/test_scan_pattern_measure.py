@@ -212,3 +212,11 @@ def test_standard_deviations_are_those_of_patches_without_each_block(name):
     # figures without a block are linear here; which points are strays may change with it
     std = measured(np.ones(len(cloud), dtype=bool)).std
     np.testing.assert_allclose(list(std.values()), expected, rtol=0.15)
+
+
+def test_times_that_are_too_few_or_no_numbers_are_told_apart(rng):
+    points = rng.random((60, 3))
+    with pytest.raises(ValueError, match=r"gps_time of shape \(59,\)\. Must be one per point, 60"):
+        measure_pattern(points, gps_time=np.arange(59.0))
+    with pytest.raises(ValueError, match="Invalid gps_time: 2 of 60 not finite"):
+        measure_pattern(points, gps_time=np.r_[np.arange(58.0), np.nan, np.inf])

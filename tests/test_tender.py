@@ -474,3 +474,16 @@ def test_the_tables_of_the_paper_are_its_printed_ones():
 def test_a_remark_doubts_the_figures_that_it_names(quantity, found):
     remark = "Own_figure is coarse. e95 has no interval."
     assert tables.doubted(quantity, remark) == found
+
+
+def test_a_percentage_of_a_quantity_with_another_unit_is_refused():
+    """It would be a hundredth: 30 % of points per square metre are no 0.3."""
+    for name, rows in (("criteria", CRITERIA[:1]), ("results", RESULTS[:1])):
+        column = "threshold" if name == "criteria" else "value"
+        odd = {"criteria": CRITERIA[:1], "results": RESULTS[:1]}
+        odd[name] = rows.assign(**{column: pd.Series(["30 %"], dtype=object)})
+        with pytest.raises(ValueError, match=f"{name}.*'30 %' for density_per_m2 in row 1"):
+            tender.verdicts(odd["criteria"], odd["results"])
+    own = CRITERIA[:1].assign(quantity="share", threshold="30%", distance_m=np.nan)
+    seen = RESULTS[:1].assign(quantity="share", value="31%", sigma="0", distance_m=np.nan)
+    assert tender.verdicts(own, seen)["threshold"].item() == 0.3

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from mmqa_lab._checks import check_points
+from mmqa_lab._checks import check_points, refuse
 from mmqa_lab._results import NORMAL, Shown, about
 from mmqa_lab.planes import TUKEY, fit_plane, sigma_mad
 from mmqa_lab.scan_pattern.mimic import LEVEL
@@ -207,8 +207,10 @@ def _column(values, name, n):
     if values is None:
         return None
     values = np.asarray(values, dtype=np.float64)
-    if values.shape != (n,) or not np.isfinite(values).all():
-        raise ValueError(f"Invalid {name} of shape {values.shape}. Must be finite, one per point.")
+    if values.shape != (n,):
+        raise ValueError(f"Invalid {name} of shape {values.shape}. Must be one per point, {n}.")
+    odd = ~np.isfinite(values)
+    refuse(odd.any(), name, f"{odd.sum()} of {n} not finite", "finite")
     return values
 
 

@@ -148,6 +148,10 @@ def _whole(frame, needed, numbers, what):
     figures = frame[needed[-1]].astype(object).map(_lowered)
     frame[needed[-1]] = _read(figures, f"{needed[-1]} in {what}")
     frame["quantity"] = frame["quantity"].replace(SAME)
+    shares = figures.astype(str).str.contains("%") & frame["quantity"].isin([*QUANTITIES])
+    row = shares.idxmax()
+    where = f"{figures[row]!r} for {frame['quantity'][row]} in row {row + 1}"
+    refuse(shares.any(), what, where, "in the unit of its quantity")
     return _in_own_units(frame, [*needed[-1:], *({*numbers} & {"sigma", "low", "high"})], what)
 
 

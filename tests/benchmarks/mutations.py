@@ -130,6 +130,8 @@ FAULTS = (
     ("tender", "if bare or doubted(quantity, remarks)", "if False", "test_tender.py"),
     ("tender", "if value != 0 and not np.isnan(value):", "if False:", "test_tender.py"),
     ("tender", '.dropna(how="all")', "", "test_tender.py"),
+    ("tender", "refuse(shares.any()", "refuse(False", "test_tender.py"),
+    ("scan_pattern", "refuse(odd.any()", "refuse(False", "test_scan_pattern_measure.py"),
     ("tender", "surely and not any(", "surely and any(", "test_tender.py"),
     ("test_field", "dz.abs().quantile(0.9)", "dz.quantile(0.9)",
      "test_test_field.py"),
