@@ -497,6 +497,8 @@ def lacking(case):
         yield "feet", Cloud(data, crs=pyproj.CRS("EPSG:2263"))
     if case.is_a in ("space", "plan") and "array" not in case.kinds:
         yield "float32 far away", (data + 5e6).astype(np.float32)
+    if case.is_a in ("space", "plan", "lines") and "array" not in case.kinds:
+        yield "too far for a square", data * 1e200
     yield "no dimension", data.reshape(-1)[0]
     yield "texts", data.astype(str)
     yield "complex", data.astype(complex)
@@ -520,6 +522,7 @@ MUST_BE_SAID = (
     "complex",
     "feet",
     "float32",
+    "too far",
     "rows of unlike lengths",
 )
 

@@ -124,8 +124,8 @@ def check_points(points, *, name="points", columns=3, minimum=1):
     TypeError
         If the values are not real numbers.
     ValueError
-        If the shape is wrong, points are too few, a coordinate is not finite, or the points have
-        a coordinate reference system that is not in metres.
+        If the shape is wrong, points are too few, a coordinate is not finite or 1e15 m away, or the
+        points have a coordinate reference system that is not in metres.
 
     Examples
     --------
@@ -151,6 +151,8 @@ def check_points(points, *, name="points", columns=3, minimum=1):
         bad = ~np.isfinite(values).all(axis=1)
         count = f"{bad.sum()} of {len(values)} not finite, the first in row {np.argmax(bad)}"
         raise ValueError(f"Invalid {name}: {count}. Must be finite coordinates.")
+    largest = max(values.max(initial=0), -values.min(initial=0))
+    refuse(largest > FARTHEST_M, name, f"{largest:.3g} in it", "in metres")
     return values
 
 
@@ -179,8 +181,6 @@ def check_polygon(vertices, *, name="polygon"):
     3
     """
     ring = check_points(vertices, name=name)
-    largest = np.abs(ring).max()
-    refuse(largest > FARTHEST_M, name, f"{largest:.3g} in it", "in metres")
     kept = (ring != np.roll(ring, -1, axis=0)).any(axis=1)
     return check_points(ring[kept], name=name, minimum=3)
 
