@@ -457,3 +457,16 @@ def test_a_corner_is_missed_in_percent_of_its_two_metres(top, missed, rng):
     found = tasks.corner_errors(walls, np.repeat([0, 1], len(up)))
     assert found["edge_missed_percent"] == pytest.approx(missed, abs=7)
     assert found["edge_mm"] < 3
+
+
+def test_the_limit_for_nine_of_ten_is_that_of_the_logistic_function():
+    rng = np.random.default_rng(5)
+    metric = np.exp(rng.normal(3, 1, 40_000))
+    fit = rng.random(len(metric)) < 1 / (1 + np.exp(2 * np.log(metric) - 6))
+    assert curves.limit_for(metric, fit, 0.9) == pytest.approx(
+        np.exp((6 - np.log(9)) / 2), rel=0.03
+    )
+    assert curves.limit_for(1 / metric, fit, 0.9) == pytest.approx(
+        np.exp((np.log(9) - 6) / 2), rel=0.03
+    )
+    assert np.isnan(curves.limit_for(metric[metric > 25], fit[metric > 25], 0.9))

@@ -226,18 +226,20 @@ def _renew_readme(readme, answers, counts=None):
 
 def _renew_advice(readme, found):
     """Write the advised metrics of tasks into the README's table."""
-    rows = ["|task|ask for|balanced accuracy|limit for heads, beams, others|", "|---|---|---|---|"]
+    rows = ["|task|ask for|for nine of ten|balanced accuracy|limit for heads, beams, others|"]
+    rows.append("|---|---|---|---|---|")
     found = found[found["advised"] == "yes"]
     for row in found.itertuples():
         one = METRICS[row.method]
         end = {"less": "at most", "more": "at least"}[one.better]
         limit = f"`{row.method}` {end} {row.limit:.2g} {one.unit}"
         score = f"{row.balanced:.2f} ({row.low:.2f} to {row.high:.2f})"
-        rows.append(f"|{row.words}|{limit}|{score}|{row.limits}|")
+        rows.append(f"|{row.words}|{limit}|{row.nine_of_ten:.2g}|{score}|{row.limits}|")
     text = readme.read_text(encoding="utf-8")
     text = re.sub(r"\|task\|ask for(?:[^\n]+\n)+", "\n".join([*rows, ""]), text)
-    lost = (found["balanced"] - found["nested"]).max()
-    text = re.sub(r"(they fall by at most )\d\.\d+", rf"\g<1>{lost:.2f}", text)
+    for word, lost in (("chooses", "nested"), ("elsewhere", "elsewhere")):
+        most = (found["balanced"] - found[lost]).max()
+        text = re.sub(rf"({word}[^.]* at most )\d\.\d+", rf"\g<1>{most:.2f}", text)
     write_atomically(readme, text)
 
 

@@ -7,7 +7,7 @@ from mmqa_lab._checks import needs
 from mmqa_lab._results import NORMAL
 from mmqa_lab.studies.fitness.acquisitions import KINDS
 
-__all__ = ["curve", "supported"]
+__all__ = ["curve", "limit_for", "supported"]
 
 SUPPORTED = {
     "step": ("step_mm", "noise_of_a_mean", 4, "mm", "between patches of 20 cm x 20 cm"),
@@ -46,6 +46,17 @@ def curve(values, fit, at):
     odds = rows @ found.params
     reach = NORMAL * np.sqrt(np.einsum("ij,jk,ik->i", rows, found.cov_params(), rows))
     return 1 / (1 + np.exp(-np.array([odds, odds - reach, odds + reach])))
+
+
+def limit_for(values, fit, share):
+    """Return the metric at which a share of clouds does the task, by :func:`curve`.
+
+    NaN where that lies beyond the metrics of the clouds.
+    """
+    known = np.asarray(values)[np.isfinite(values) & (np.asarray(values) > 0)]
+    at = np.geomspace(known.min(), known.max(), 2000)
+    off = np.abs(curve(np.asarray(values), fit, at)[0] - share)
+    return at[off.argmin()] if off.min() < 0.01 else np.nan
 
 
 def supported(figures, errors):
