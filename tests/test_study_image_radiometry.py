@@ -6,7 +6,7 @@ import pytest
 from conftest import spoiled
 
 from mmqa_lab.radiometry import adjust_block, stability
-from mmqa_lab.simulate.targets import ATMOSPHERES, SURFACES, Flight, fly_block
+from mmqa_lab.simulate.targets import ATMOSPHERES, SURFACES, Flight, blocks, fly_block
 from mmqa_lab.studies import image_radiometry, image_resolution
 
 
@@ -125,3 +125,16 @@ def test_checks_of_both_notebooks_fail_with_other_numbers():
     true = {"shares": pd.Series({"gain_z": 0.95, "offset_z": 0.96}), "slack": 0.04, "obtained": ""}
     true |= {"with_it": 0.1, "without": 4.0, "before": 5.0, "after": 0.2, "off": 1.0}
     assert not spoiled("image_radiometry", true)
+
+
+def test_strips_overlap_as_stated_and_are_flown_there_and_back(rng):
+    made = blocks._stations(Flight(strips=3, images=5), rng)
+    x, y = (made[name].to_numpy().reshape(3, 5) for name in ("centre_x_m", "centre_y_m"))
+    assert x[0] == pytest.approx(blocks.WIDTH_M / 2)
+    aside, along = np.diff(x, axis=0), np.diff(y, axis=1)
+    assert 1 - aside / blocks.WIDTH_M == pytest.approx(blocks.SIDE_OVERLAP)
+    base = blocks.FLIGHT_LENGTH_M * np.array([[1], [-1], [1]])
+    assert 1 - along / base == pytest.approx(blocks.FORWARD_OVERLAP)
+    assert y.min() == pytest.approx(blocks.FLIGHT_LENGTH_M / 2)
+    assert made["image"].tolist() == [*range(15)]
+    assert np.diff(made["sun_zenith_deg"]) == pytest.approx(0.5)  # from 40 to 47 degrees
