@@ -65,7 +65,8 @@ class Ran:
 
 def test_the_readme_advises_what_real_clouds_do_not_contradict(tmp_path):
     (tmp_path / "README.md").write_text(
-        "it chooses: at most 0.9, elsewhere at most 0.9\n\n|task|ask for|\n|---|---|\n|old|f|\n\nEnd.\n"
+        "it chooses: at most 0.9, elsewhere at most 0.9\n\n"
+        "|task|ask for|\n|---|---|\n|old|f|\n\nEnd.\n"
     )
     found = pd.DataFrame({"words": list("abcde"), "method": 4 * ["e95"] + ["density"]})
     found["advised"] = ["no", "no", "no", "yes", "yes"]

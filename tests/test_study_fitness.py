@@ -470,3 +470,4 @@ def test_the_limit_for_nine_of_ten_is_that_of_the_logistic_function():
         np.exp((np.log(9) - 6) / 2), rel=0.03
     )
     assert np.isnan(curves.limit_for(metric[metric > 25], fit[metric > 25], 0.9))
+    assert np.isnan(curves.limit_for(np.zeros(3), np.ones(3, bool), 0.9))

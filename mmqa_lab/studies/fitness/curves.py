@@ -53,9 +53,12 @@ def limit_for(values, fit, share):
 
     NaN where that lies beyond the metrics of the clouds.
     """
-    known = np.asarray(values)[np.isfinite(values) & (np.asarray(values) > 0)]
+    values = np.asarray(values)
+    known = values[np.isfinite(values) & (values > 0)]
+    if not len(known):
+        return np.nan
     at = np.geomspace(known.min(), known.max(), 2000)
-    off = np.abs(curve(np.asarray(values), fit, at)[0] - share)
+    off = np.abs(curve(values, fit, at)[0] - share)
     return at[off.argmin()] if off.min() < 0.01 else np.nan
 
 
