@@ -124,7 +124,8 @@ def _whole(frame, needed, numbers, what):
     columns = (*needed, *OPTIONAL, "unit", *NOTES)
     for name in frame.columns[~frame.columns.isin(columns)]:
         check_known(name, f"column of {what}", columns)
-    frame = frame.reset_index(drop=True).replace(r"^\s*$", np.nan, regex=True).dropna(how="all")
+    frame = frame.reset_index(drop=True)
+    frame = frame.map(lambda one: np.nan if not str(one).strip() else one).dropna(how="all")
     noted = frame[needed[0]].astype(str).str.match(r"\s*(#|//)")
     frame = frame[~(noted & frame[list(needed[1:])].isna().all(axis=1))].drop_duplicates()
     refuse(frame.empty, what, "no rows", "one or more")
