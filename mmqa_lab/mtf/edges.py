@@ -225,7 +225,7 @@ class EdgeFit:
         size = np.abs(self.distance)
         near, far = (size > 1.5 * self.spread) & (size < RINGING_PX), size > 2 * RINGING_PX
         sides = [left[far & (side * self.distance > 0)] for side in (-1, 1)]
-        if min(near.sum(), *map(len, sides)) < FEWEST_NEAR:
+        if min(int(near.sum()), *map(len, sides)) < FEWEST_NEAR:
             return 0.0
         usual = max(one.mean() for one in sides) * (1 + 4 * np.sqrt(2 / near.sum()))
         return float(np.sqrt(max(left[near].mean() - usual - self.rounding**2 / 12, 0)))

@@ -67,7 +67,8 @@ def revolutions_from_time(time: ArrayLike) -> np.ndarray:
     >>> revolutions_from_time(np.concatenate([pulses, pulses + 0.01, pulses + 0.03])).tolist()
     [0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 3, 3, 3, 3, 3]
     """
-    since = np.asarray(time, dtype=np.float64) - np.min(time)
+    seconds = np.asarray(time, dtype=np.float64)
+    since = seconds - seconds.min()
     return _numbered(since, mirror_frequency(since))
 
 
@@ -85,7 +86,8 @@ def mirror_frequency(time: ArrayLike) -> float:
     >>> round(mirror_frequency(np.add.outer([0, 0.01, 0.03], np.arange(5) * 1e-5).ravel()), 6)
     100.0
     """
-    order = np.sort(np.asarray(time, dtype=np.float64) - np.min(time))
+    seconds = np.asarray(time, dtype=np.float64)
+    order = np.sort(seconds - seconds.min())
     step = np.diff(order)
     typical = np.median(step[step > 0]) if (step > 0).any() else np.inf
     begins = np.append(0.0, order[1:][step > PAUSE * typical])[:FEW_RUNS]

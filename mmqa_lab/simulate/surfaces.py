@@ -288,7 +288,7 @@ def foliage(
     way, places = rng.standard_normal((n, 3)), rng.random((n, 1)) ** (1 / 3)
     ball = places * way / np.linalg.norm(way, axis=1, keepdims=True)
     normals = rng.standard_normal((n, 3))
-    return discs(label, np.asarray(centre) + ball * radii, normals, leaf_radius, 0.4)
+    return discs(label, np.asarray(centre) + ball * np.asarray(radii), normals, leaf_radius, 0.4)
 
 
 def wall(
