@@ -274,16 +274,16 @@ def unit_remarks(
     points = check_points(points, minimum=0)
     if crs is not None and crs.is_geocentric:
         return [f"Coordinates are geocentric ({crs.name}): z is not upwards."]
-    if len(points) and (stretched := remark_on_map(crs, np.median(points[:, :2], axis=0))):
-        return [stretched]
+    on_map = remark_on_map(crs, np.median(points[:, :2], axis=0)) if len(points) else ""
+    said = [on_map] * bool(on_map)
     if len(points) < FEWEST_FOR_UNIT or (crs is not None and crs.is_geographic):
-        return []
+        return said
     few = points[:: len(points) // FEWEST_FOR_UNIT]
     *plan, high = np.ptp(extent(points), axis=0)
     wide = max(plan)
     crowded = len(points) > CROWDED * wide**2 and high > wide > 0
     if crowded and np.abs(few[:, :2]).max() <= 180:
-        return [LIKE_DEGREES]
+        return [*said, LIKE_DEGREES]
     if lengths is not None:
         odd, told = np.median(lengths) > LONGEST_EDGE_M, "Edges are hundreds of metres long"
     elif (few == np.round(few)).all():
@@ -291,7 +291,7 @@ def unit_remarks(
     else:
         alone = [not _has_neighbour(points, seed, share) for seed in few[::7]]
         odd, told = np.mean(alone) > 0.5, "Points have no neighbour within 1.5 m"
-    return [f"{told}, as in millimetres, but are taken for metres."] if odd else []
+    return said + [f"{told}, as in millimetres, but are taken for metres."] * bool(odd)
 
 
 def _has_neighbour(points, seed, share):

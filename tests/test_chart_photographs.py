@@ -200,7 +200,7 @@ def test_blur_does_not_change_the_pixel_size(condition):
     quality = chart_image.evaluate_image(shot.linear, CHART, there)
     sizes = quality.sizes.set_index("name")
     off = sizes["length_px"] - [shot.length(CHART[name]) for name in sizes.index]
-    assert off.abs().max() < 0.09  # 0.17 with the edges
+    assert off.abs().max() < 0.08  # 0.17 with the edges
     assert (off.abs() < 1.96 * sizes["length_sigma_px"]).mean() > 0.6
     if condition == "base":
         assert sizes["length_sigma_px"].max() < 0.5 * quality.residual_px

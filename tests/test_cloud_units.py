@@ -107,3 +107,10 @@ def test_maps_that_are_longer_than_the_ground_are_said(tmp_path, system, east, n
         write_cloud(tmp_path / "c.laz", Cloud(points, crs=crs))
         read_cloud(tmp_path / "c.laz")
     assert any("on the ground" in str(one.message) for one in told) == bool(stretched)
+
+
+def test_a_stretched_map_does_not_hide_that_points_lie_metres_apart():
+    in_mm = np.random.default_rng(1).random((1000, 3)) * 1000 + [935_000, 6_275_000, 100]
+    on_map, apart = unit_remarks(in_mm, crs=pyproj.CRS("EPSG:3857"))
+    assert "on the ground" in on_map
+    assert "no neighbour" in apart

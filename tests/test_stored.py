@@ -73,14 +73,14 @@ def test_the_readme_advises_what_real_clouds_do_not_contradict(tmp_path):
     found["limits"] = "20, 35, nan"
     found[["limit", "balanced", "low", "high"]] = [30.0, 0.8, 0.7, 0.9]
     found["nested"] = [0.2, 0.2, 0.2, 0.78, 0.75]
-    found["elsewhere"], found["nine_of_ten"] = 0.73, 21.0
+    found["elsewhere"], found["nine_of_ten"] = 0.73, [21.0, 21.0, 21.0, np.nan, 21.0]
     for _ in range(2):
         _renew_advice(tmp_path / "README.md", found)
     assert (tmp_path / "README.md").read_text().splitlines()[0] == (
         "it chooses: at most 0.05, elsewhere at most 0.07"
     )
     assert (tmp_path / "README.md").read_text().splitlines()[4:] == [
-        "|d|`e95` at most 30 mm|21|0.80 (0.70 to 0.90)|20, 35, nan|",
+        "|d|`e95` at most 30 mm|none|0.80 (0.70 to 0.90)|20, 35, nan|",
         "|e|`density` at least 30 points/m2|21|0.80 (0.70 to 0.90)|20, 35, nan|",
         "",
         "End.",

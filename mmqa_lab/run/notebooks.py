@@ -226,7 +226,9 @@ def _renew_readme(readme, answers, counts=None):
 
 def _renew_advice(readme, found):
     """Write the advised metrics of tasks into the README's table."""
-    rows = ["|task|ask for|for nine of ten|balanced accuracy|limit for heads, beams, others|"]
+    rows = [
+        "|task|ask for|for nine of ten, fitted|balanced accuracy|limit for heads, beams, others|"
+    ]
     rows.append("|---|---|---|---|---|")
     found = found[found["advised"] == "yes"]
     for row in found.itertuples():
@@ -234,7 +236,8 @@ def _renew_advice(readme, found):
         end = {"less": "at most", "more": "at least"}[one.better]
         limit = f"`{row.method}` {end} {row.limit:.2g} {one.unit}"
         score = f"{row.balanced:.2f} ({row.low:.2f} to {row.high:.2f})"
-        rows.append(f"|{row.words}|{limit}|{row.nine_of_ten:.2g}|{score}|{row.limits}|")
+        nine = f"{row.nine_of_ten:.2g}".replace("nan", "none")
+        rows.append(f"|{row.words}|{limit}|{nine}|{score}|{row.limits}|")
     text = readme.read_text(encoding="utf-8")
     text = re.sub(r"\|task\|ask for(?:[^\n]+\n)+", "\n".join([*rows, ""]), text)
     for word, lost in (("chooses", "nested"), ("elsewhere", "elsewhere")):
