@@ -41,7 +41,7 @@ def test_the_record_is_written_with_every_file(run):
     run.save_value("f_2_of_a", 3.257, "1", "predicted")
     run.check("f exceeds 2", True, "3.257", "closed form")
     record = read_record(run.folder)
-    assert record["failure"] == "stopped before its end"
+    assert record["failure"] == "running, or stopped before its end"
     run.finish()
     record = read_record(run.folder)
     assert record["failure"] == ""
@@ -135,7 +135,7 @@ def test_checks_report_and_never_raise(run, capsys):
     assert "NO. f is below 2" in capsys.readouterr().out
     assert pd.read_csv(run.folder / "checks.csv")["passed"].tolist() == [True, False]
     run.check("f is above 1", False, "2", "the same words again replace the first")
-    assert verdict(read_record(run.folder)) == "stopped before its end"
+    assert verdict(read_record(run.folder)) == "running, or stopped before its end"
     run.finish()
     assert verdict(read_record(run.folder)) == "0 of 2 checks passed"
 

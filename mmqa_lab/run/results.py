@@ -54,7 +54,7 @@ NUMBER_KINDS = ("published", "predicted", "fitted", "measured")
 
 RECORD = "run.json"
 
-UNFINISHED = "stopped before its end"
+UNFINISHED = "running, or stopped before its end"
 
 # A file that :func:`mmqa_lab.io.write_atomically` was writing when it was killed.
 LEFT_OVER = re.compile(r"\..{0,40}\.[0-9a-f]{16}\.\w+")
