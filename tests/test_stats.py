@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.stats import spearmanr
+from scipy.stats import rankdata, spearmanr
 from scipy.stats import t as student
 from statsmodels.stats.proportion import proportion_confint
 from statsmodels.stats.weightstats import DescrStatsW
@@ -153,3 +153,87 @@ def test_the_reach_by_waves_is_that_of_sums_over_waves_one_by_one(rng):
     expected = student.ppf(0.975, freedom) * np.sqrt(variance)
     found = neighbours._reach_by_waves(row[None], across, along)
     assert found[0] == pytest.approx(expected, rel=1e-6)
+
+
+def shares_of(values, block):
+    """Sums over blocks of each value's part in the share below the median, by plain loops."""
+    middle, sums = np.median(values), {}
+    signs = [np.sign(value - middle) / 2 for value in values]
+    for sign, one in zip(signs, block, strict=True):
+        sums[one] = sums.get(one, 0) + (sign - np.mean(signs)) / len(values)
+    return np.array([sums[one] for one in sorted(sums)])
+
+
+def median_ends(values, block):
+    """The interval of a median by its description."""
+    sums = shares_of(values, block)
+    n = len(sums)
+    reach = student.ppf(0.975, n - 1) * np.sqrt((sums**2).sum() * n / (n - 1))
+    ranks = [
+        round(min(max(share, 0), 1) * (len(values) - 1)) for share in (0.5 - reach, 0.5 + reach)
+    ]
+    low, high = np.sort(values)[ranks]
+    return min(low, np.median(values)), max(high, np.median(values))
+
+
+@pytest.mark.parametrize("step", [1e-9, 0.5])
+def test_intervals_of_medians_and_of_their_ratio_are_those_of_plain_loops(rng, step):
+    values = np.round(rng.exponential(3, (2, 402)) / step) * step + 1  # with and without ties
+    values[1] += values[0] / 2
+    block = rng.choice([0, 1, 2, 3, 4, 6, 7, 9], 402)  # some have none
+    for row in values:
+        assert stats.median_interval(row, block) == pytest.approx(median_ends(row, block))
+    values[0, :20], values[1, 15:40] = np.nan, np.nan
+    known = np.isfinite(values).all(axis=0)
+    both, own = values[:, known], block[known]
+    sums = np.array([shares_of(row, own) for row in both])
+    alike = sums[0] @ sums[1] / np.sqrt((sums[0] @ sums[0]) * (sums[1] @ sums[1]))
+    one, two = (np.diff(np.log(median_ends(row, own)))[0] / 2 for row in both)
+    reach = np.sqrt(one**2 + two**2 - 2 * alike * one * two)
+    ratio = np.nanmedian(values[0]) / np.nanmedian(values[1])
+    found = stats.median_ratio_interval(*values, block)
+    assert found == pytest.approx((ratio * np.exp(-reach), ratio * np.exp(reach)))
+
+
+def test_of_two_pairs_of_waves_and_of_few_blocks_the_wider_interval_counts(rng):
+    values, ways = rng.normal(size=300), rng.integers(0, neighbours.WAVE_PARTS, (4, 300))
+    reaches = [stats.mean_reach(values, pair) for pair in (ways[:2], ways[2:])]
+    assert abs(reaches[1] - reaches[0]) > 0.05 * reaches[0]
+    assert stats.mean_reach(values, ways) == max(reaches)
+    assert stats.mean_reach(values, ways[[2, 3, 0, 1]]) == max(reaches)
+    by_hand = stats.mean_reach([1.0, 2, 6], [0, 0, 4])  # sums -1 and 1
+    assert by_hand == pytest.approx(student.ppf(0.975, 1) * 2)
+    assert np.isnan(stats.median_interval([1.0, 2], [3, 3])).all()
+    assert np.isnan(stats.median_ratio_interval([1.0, 2], [3.0, 4], [3, 3])).all()
+
+
+def test_parts_are_those_of_the_middle_ranks_of_places(rng):
+    parts = neighbours.WAVE_PARTS
+    for places in (rng.permutation(1500) * 2.0, np.append(rng.integers(0, 40, 900), 1e9)):
+        expected = np.floor((rankdata(places) - 0.5) * parts / len(places))
+        found = stats.order_parts(np.column_stack([places, 7 - 3 * places]), 90)
+        # along the second axis, and across it to the left
+        assert np.array_equal(found[1], np.floor((rankdata(-places) - 0.5) * parts / len(places)))
+        assert np.array_equal(found[0], np.floor((rankdata(-places) - 0.5) * parts / len(places)))
+        turned = stats.order_parts(np.column_stack([places, 7 - 3 * places]), 0)
+        assert np.array_equal(turned[1], expected)
+
+
+def test_a_bootstrap_draws_rows_together_and_takes_the_quantiles_of_what_is_known(rng):
+    values, drawn = rng.normal(size=50), []
+
+    def kept(one, other):
+        drawn.append(float(np.mean(one)))
+        assert np.array_equal(one + 1, other)
+        return drawn[-1]
+
+    found = stats.bootstrap(kept, values, values + 1, repeats=400)
+    assert drawn[-1] == found.value == values.mean()
+    assert (found.low, found.high) == pytest.approx(tuple(np.quantile(drawn[:-1], [0.025, 0.975])))
+    assert len(drawn) == 401
+    assert len(set(drawn)) > 390
+    for known, told in ((49, False), (50, True), (80, True)):
+        turns = iter([*[1.0] * known, *[np.nan] * (100 - known), 1.0])
+        found = stats.bootstrap(lambda one, turns=turns: next(turns), values, repeats=100)
+        assert (found.low == found.high == 1) == told
+    assert np.isnan(stats.bootstrap(np.mean, [3.0]).low)
