@@ -3,15 +3,17 @@
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.stats import t
+from scipy.stats import sem, t
 
 from mmqa_lab import samples
 from mmqa_lab.io import read_cloud
 from mmqa_lab.scan_pattern import (
     ScanSetup,
     Target,
+    measure,
     measure_pattern,
     scan_lattice,
+    timing,
 )
 from mmqa_lab.scan_pattern.measure import MEASURED, pulse_period
 from mmqa_lab.studies.mimic import simulate_patch
@@ -220,3 +222,105 @@ def test_times_that_are_too_few_or_no_numbers_are_told_apart(rng):
         measure_pattern(points, gps_time=np.arange(59.0))
     with pytest.raises(ValueError, match="Invalid gps_time: 2 of 60 not finite"):
         measure_pattern(points, gps_time=np.r_[np.arange(58.0), np.nan, np.inf])
+
+
+def test_the_jackknife_of_a_mean_is_its_standard_error_widened_to_students_interval(rng):
+    values = rng.normal(size=(9, 5)) * [1, 2, 3, 4, 5]
+    left = [np.delete(values, k, axis=0).mean(axis=0) for k in range(9)]
+    expected = sem(values) * t.ppf(0.975, 8) / 1.96
+    assert measure._jackknifed(np.array(left)) == pytest.approx(expected)
+    assert np.isnan(measure._jackknifed(np.array(left)[:3])).all()
+    assert np.isfinite(measure._jackknifed(np.array(left)[:4])).all()
+
+
+def test_sums_without_a_block_give_least_squares_without_it(rng):
+    terms, values = rng.normal(size=(200, 3)), rng.normal(size=200)
+    block = rng.integers(0, 5, 200)
+    terms[:, 1] *= 1e5
+    found = measure._left_out(terms, values, block)
+    assert len(found) == 6
+    for k, one in enumerate(found, start=-1):
+        rows = block != k
+        assert one == pytest.approx(np.linalg.lstsq(terms[rows], values[rows])[0], rel=1e-9)
+    level = np.column_stack([terms[:, :2], 1e-12 * terms[:, 2]])  # has no spread beside the others
+    assert measure._left_out(level, values, block)[:, 2] == pytest.approx(0)
+    offsets, weights = rng.normal(size=(3, 12)), rng.integers(1, 9, (3, 12))
+    numbers = np.arange(12) * 2 + 5
+    expected = [np.polyfit(numbers, row, 1, w=np.sqrt(w))[0]
+                for row, w in zip(offsets, weights, strict=True)]  # fmt: skip
+    assert measure._slopes(numbers, offsets, weights) == pytest.approx(expected)
+
+
+def test_groups_share_slopes_and_have_their_own_constants(rng):
+    group = rng.integers(0, 4, 90)
+    terms, values = rng.normal(size=(90, 2)), rng.normal(size=90) + group
+    found, constants, left = timing.solve_groups(terms, values, group)
+    rows = np.column_stack([terms, group[:, None] == np.arange(4)])
+    expected = np.linalg.lstsq(rows, values)[0]
+    assert [*found, *constants] == pytest.approx(expected)
+    assert left == pytest.approx(values - rows @ expected)
+
+
+def test_a_wavy_lattice_has_its_figures_and_their_errors_vanish(rng):
+    """Profiles 4 cm apart at 60 degrees on a wall, points each 15 mm, and its plane turned."""
+    lines, pulses = np.meshgrid(np.arange(30), np.arange(-40, 41), indexing="ij")
+    turn = np.radians(60)
+    along, across = 0.015 * pulses + 0.004 * lines, 0.04 * lines
+    u = np.cos(turn) * along - np.sin(turn) * across
+    v = np.sin(turn) * along + np.cos(turn) * across
+    wall = np.column_stack([np.full(u.size, 5.0), u.ravel(), v.ravel()])
+    time = (0.01 * lines + 1e-5 * pulses).ravel()
+    order = rng.permutation(len(wall))
+    found = measure_pattern(wall[order], gps_time=time[order])
+    told = [getattr(found, name) for name in MEASURED]
+    sides = 0.04 / np.sin(turn), 0.04 / np.cos(turn)
+    assert told == pytest.approx([0.04, *sides, 60, 0.015], rel=1e-7)
+    assert [found.profiles, found.points] == [30, len(wall)]
+    assert abs(found.direction @ [0, np.cos(turn), np.sin(turn)]) == pytest.approx(1)
+    assert np.max([*found.std.values()]) < 1e-6
+    table = found.to_frame()
+    assert table["n"].tolist() == [30] * 4 + [len(wall)]
+    assert table["measured"].tolist() == told
+
+
+@pytest.mark.parametrize(("beside", "kept"), [(0.9e-4, 480), (1.2e-4, 476)])
+def test_points_a_tenth_of_a_millimetre_beside_exact_profiles_are_strays(beside, kept):
+    lines, pulses = (one.ravel() for one in np.meshgrid(np.arange(12), np.arange(40)))
+    off = np.where((pulses == 20) & (lines % 3 == 0), beside, 0)
+    local = np.column_stack([0.02 * pulses, 0.1 * lines + off, 0.0 * off])
+    given = np.flatnonzero(lines != 40)
+    rows, share = measure._without_strays(local, lines, given)
+    assert (len(rows), share) == (kept, kept / 480)
+    assert not set(rows) & set(np.flatnonzero(off)) or kept == 480
+    few = np.where((lines == 5) & (pulses > 1), 99, lines)  # of two points: no profile
+    assert len(measure._without_strays(local, np.where(few == 99, -pulses - 1, few), given)[0]) == (
+        kept - 40
+    )
+
+
+@pytest.mark.parametrize("shake", [0.0, 0.2])
+def test_periods_and_revolutions_are_those_that_were_driven(shake, rng):
+    """A seventh of each revolution is seen, some pulses and revolutions are missing."""
+    period, pulse = 0.0125, 3.1e-6
+    turn = np.repeat(np.delete(np.arange(60), [7, 8, 20]), 500)
+    number = np.tile(np.arange(500) * 1.0, 57)
+    kept = rng.random(len(turn)) < 0.8
+    time = 4e5 + turn * period + number * pulse
+    seen = np.unique(turn[kept], return_inverse=True)[1]
+    turn, time = turn[kept], time[kept] + shake * pulse * rng.uniform(-0.5, 0.5, kept.sum())
+    since = time - time.min()
+    assert timing.mirror_frequency(since) == pytest.approx(80, rel=1e-4)
+    assert np.array_equal(timing.revolutions_from_time(time), turn)
+    assert timing.pulse_period(since, seen) == pytest.approx(pulse, rel=1e-4)
+    order = rng.permutation(len(turn))
+    assert timing.pulse_period(since[order], seen[order]) == pytest.approx(pulse, rel=1e-4)
+    assert np.isnan(timing.pulse_period(np.floor(since / 3e-6 / 2), seen))
+
+
+def test_the_longest_pause_goes_over_the_end_of_a_revolution():
+    length, middle = timing._longest_pause(np.array([0.3, 0.5, 1.6, 2.7, 3.7]), 0.5)
+    phases = np.sort(np.array([0.15, 0.25, 0.8, 0.35, 0.85]))  # pause from .35 to .8
+    assert (length, middle) == pytest.approx((0.45, 0.575))
+    assert np.diff(phases).max() == pytest.approx(length)
+    length, middle = timing._longest_pause(np.array([0.3, 0.4, 0.5]), 1.0)
+    assert (length, middle) == pytest.approx((0.8, 0.9))
