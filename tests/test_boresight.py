@@ -7,9 +7,11 @@ import pandas as pd
 import pytest
 
 from mmqa_lab.boresight import calibrate, corrected
-from mmqa_lab.boresight.adjustment import Adjustment, OnPlanes, OnPoles, Shots
-from mmqa_lab.boresight.mounting import points_at_control, poles_in_common
+from mmqa_lab.boresight.adjustment import Adjustment, OnGround, OnPlanes, OnPoles, Shots
+from mmqa_lab.boresight.mounting import _shared, points_at_control, poles_in_common
 from mmqa_lab.cloud import Cloud
+from mmqa_lab.planes import fit_plane
+from mmqa_lab.rotations import rotations, turned
 from mmqa_lab.simulate import straight
 from mmqa_lab.simulate.test_field import make_test_field
 from mmqa_lab.studies import test_field as study
@@ -235,3 +237,173 @@ def test_a_combination_that_has_no_effect_is_refused_and_named(rng):
         Adjustment._refuse_open(known, slopes)
     assert "of head 1 with" in str(error.value)
     Adjustment._refuse_open(known, rng.normal(size=(30, 3)))
+
+
+def line_kind(slopes, target, of, scatter):
+    """A kind of misfits that are linear in the parameters, as the adjustment asks for one."""
+    kind = SimpleNamespace(slopes=slopes, target=target, of=of, scatter=scatter)
+    kind.known = [None] * (of.max() + 1)
+    paths = np.zeros((len(slopes), 6))
+    kind.rows = lambda values: (
+        kind.slopes @ values.ravel() - kind.target,
+        np.hstack([kind.slopes, paths[: len(kind.slopes)]]),
+        kind.of,
+    )
+
+    def keep(good):
+        kind.slopes, kind.target, kind.of = kind.slopes[good], kind.target[good], kind.of[good]
+
+    kind.keep = keep
+    return kind
+
+
+@pytest.mark.parametrize("level", [False, True])
+@pytest.mark.parametrize("kept", [(), (5,), (3, 4)])
+def test_free_parameters_span_what_may_change(level, kept):
+    """Of two heads; without control points the mean of z_m stays, where it is free."""
+    free = np.tile(~np.isin(np.arange(6), kept), 2)
+    kind = SimpleNamespace(of=np.zeros(1))
+    adjusted = Adjustment([kind, SimpleNamespace(of=np.zeros(0))], free, level)
+    assert adjusted.kinds == [kind]
+    expected = np.diag(free * 1.0)
+    if level and 5 not in kept:
+        mean = np.eye(12)[[5, 11]].sum(axis=0) / np.sqrt(2)
+        expected -= np.outer(mean, mean)
+    assert adjusted.ways @ adjusted.ways.T == pytest.approx(expected)
+    assert adjusted.values(adjusted.ways.T @ np.arange(12.0)) == pytest.approx(
+        (expected @ np.arange(12)).reshape(2, 6)
+    )
+
+
+def test_the_mounting_is_least_squares_over_the_scatter_without_outliers(rng):
+    truth, kinds, rows = rng.normal(size=6), [], []
+    for scatter, n in ((0.01, 200), (0.05, 100)):
+        slopes = rng.normal(size=(n, 6))
+        target = slopes @ truth + scatter * rng.normal(size=n)
+        target[:: n // 20] += 30 * scatter  # outliers
+        kinds.append(line_kind(slopes, target, np.arange(n) // 5, 0.02))
+        rows.append((slopes, target))
+    adjusted = Adjustment(kinds, np.ones(6, bool), False)
+    found = adjusted.solved(np.zeros((1, 6)))
+    weights, at = [0.02, 0.02], np.zeros(6)
+    for turn in range(3):
+        for k, (slopes, target) in enumerate(rows) if turn else ():
+            off = slopes @ at - target
+            weights[k] = 1.482602218505602 * np.median(np.abs(off - np.median(off)))
+            good = np.abs(off) <= 3.5 * weights[k]
+            rows[k] = slopes[good], target[good]
+        both = [np.concatenate([part[i] / w for part, w in zip(rows, weights, strict=True)])
+                for i in (0, 1)]  # fmt: skip
+        at = np.linalg.lstsq(*both)[0]
+    assert found[0] == pytest.approx(at, abs=1e-6)
+    assert [kind.scatter for kind in kinds] == pytest.approx(weights, rel=1e-4)
+    assert sum(len(kind.target) for kind in kinds) == sum(len(part[1]) for part in rows) <= 260
+    misfit, slopes, _, of = adjusted.system(found)
+    assert (len(misfit), slopes.shape[1]) == (len(of), 6)
+    assert len(set(of)) == 60  # the second kind counts on
+
+
+def shots_of(points, rng, heads=1, drives=1):
+    """Shots whose points lie there, seen from vehicles at random places."""
+    n = len(points)
+    turns, place = np.linalg.qr(rng.normal(size=(n, 3, 3)))[0], rng.normal(0, 3, (n, 3))
+    turns *= np.linalg.det(turns)[:, None, None]
+    arm = np.array([[0.4, -0.6, 0.3], [-0.2, 0.5, 0.1]])[np.arange(n) % heads]
+    beam = np.einsum("nij,ni->nj", turns, points - place) - arm
+    return Shots(np.arange(n) % heads, np.arange(n) % drives, place, turns, arm, beam)
+
+
+def test_slopes_of_shots_are_changes_of_points_by_heads_and_by_paths(rng):
+    shots = shots_of(rng.normal(size=(12, 3)), rng, heads=2, drives=3)
+    values, way = rng.normal(0, 0.01, (2, 6)), rng.normal(size=(12, 3))
+    values[:, :3] = 0  # of small angles
+    slopes, step = shots.slopes(values, way), 1e-6
+    assert slopes.shape == (12, 6 * (2 + 3))
+    for k in range(12):  # of heads
+        change = step * np.eye(12)[k].reshape(2, 6)
+        moved = (shots.placed(values + change) - shots.placed(values - change)) / (2 * step)
+        assert slopes[:, k] == pytest.approx((moved * way).sum(axis=1), abs=1e-5)
+    point = shots.inside(values)[1]
+    for drive in range(3):
+        own = shots.drive == drive
+        for k in range(6):
+            column = slopes[:, 12 + 6 * drive + k]
+            moved = np.eye(3)[k] if k < 3 else None
+            if moved is None:  # the vehicle is turned about its axes, as a head is
+                turn = rotations(*(step * np.eye(3)[k - 3]))
+                moved = np.einsum("nij,nj->ni", shots.rotation, (point @ turn.T - point) / step)
+            assert column == pytest.approx(own * (moved * way).sum(axis=1), abs=1e-4)
+
+
+def test_points_of_planes_and_poles_have_the_distances_from_fits_through_them(rng):
+    flat = np.column_stack([rng.uniform(-1, 1, (50, 2)), 0.01 * rng.normal(size=50)])
+    of = np.repeat([0, 1], [20, 30])
+    points = np.where(of[:, None] == 0, flat, flat @ turned(x=70).T + [3, 4, 5])
+    on = OnPlanes(shots_of(points, rng), [(np.arange(20), None), (np.arange(20, 50), None)])
+    misfit, _, found = on.rows(np.zeros((1, 6)))
+    assert np.array_equal(found, of)
+    for k in (0, 1):
+        own = np.abs(fit_plane(points[of == k]).residuals)
+        assert np.abs(misfit[of == k]) == pytest.approx(own, abs=1e-9)
+    on.keep(np.arange(50) % 3 > 0)
+    assert on.starts.tolist() == [0, 13]
+    for radius in (0.1, None):
+        turn, height = rng.uniform(0, 6, 40), rng.uniform(0, 3, 40)
+        ways = np.column_stack([np.cos(turn), np.sin(turn)])
+        plan = ways * (0.1 + 0.003 * rng.normal(size=(40, 1))) + 0.02 * height[:, None] + [5, 6]
+        pole = shots_of(np.column_stack([plan, height]), rng)
+        misfit = OnPoles(pole, [(np.arange(40), (ways, radius))]).rows(np.zeros((1, 6)))[0]
+        terms = np.column_stack([ways, ways * height[:, None], np.ones(40)])[:, : 4 + (not radius)]
+        right = (ways * plan).sum(axis=1) - (radius or 0)
+        assert misfit == pytest.approx(right - terms @ np.linalg.lstsq(terms, right)[0], abs=1e-9)
+
+
+def test_rows_of_the_ground_are_mean_heights_over_control_points(rng):
+    points, of = rng.normal(size=(30, 3)), np.repeat([0, 1, 2], 10)
+    shots = shots_of(points, rng)
+    on = OnGround(shots, [(np.flatnonzero(of == k), height) for k, height in enumerate((1, 2, 5))])
+    misfit, slopes, numbers = on.rows(np.zeros((1, 6)))
+    means = points[:, 2].reshape(3, 10).mean(axis=1)
+    assert misfit == pytest.approx(means - [1, 2, 5])
+    up = np.tile([0.0, 0, 1], (30, 1))
+    each = shots.slopes(np.zeros((1, 6)), up).reshape(3, 10, -1).mean(axis=1)
+    assert slopes == pytest.approx(each)
+    on.keep(np.array([True, False, True]))
+    misfit, _, numbers = on.rows(np.zeros((1, 6)))
+    assert numbers.tolist() == [0, 2]
+    assert misfit == pytest.approx(means[[0, 2]] - [1, 5])
+
+
+@pytest.mark.parametrize(
+    ("kind", "inside", "outside"),
+    [("turn", 4.5, 5.5), ("off", 0.28, 0.32), ("rough", 0.028, 0.032), ("few", 15, 14),
+     ("wide", 6.0, 4.4), ("narrow", 0.105, 0.095)],
+)  # fmt: skip
+def test_planes_are_the_same_within_limits(kind, inside, outside, rng):
+    """Two groups of 225 points in a ball, which differ by one thing."""
+    first = np.stack([*np.mgrid[-7:8, -7:8] / 20, np.zeros((15, 15))], axis=-1).reshape(-1, 3)
+    for value, same in ((inside, True), (outside, False)):
+        other = first.copy()
+        if kind == "turn":
+            other = other @ turned(x=value).T
+        elif kind == "off":
+            other[:, 2] += value
+        elif kind == "rough":
+            other[:, 2] = value * np.where(np.arange(225) % 2, 1, -1)
+        elif kind == "few":
+            other = other[rng.permutation(225)[:value]]
+        elif kind == "wide":  # beside its roughness of 2 cm
+            other[:, 2] = 0.02 * np.where(np.arange(225) % 2, 1, -1)
+            other[:, 1] *= value * 0.02 / other[:, 1].std()
+        elif kind == "narrow":
+            other[:, 1] *= value / other[:, 1].std()
+        points = np.vstack([first, other])
+        group, place = np.repeat([0, 1], [225, len(other)]), np.zeros(225 + len(other), int)
+        if same:
+            found = _shared(points, place, group)
+            assert found["rows"].map(len).tolist() == [100, min(100, len(other))]
+            assert found["side"].tolist() == [2, 2]
+            assert sorted({*np.concatenate(found["rows"].tolist())} - {*range(225)}) != []
+        else:
+            with pytest.raises(ValueError, match="no planes in common within 1"):
+                _shared(points, place, group)

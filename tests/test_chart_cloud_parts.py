@@ -1,13 +1,19 @@
 """A part of a surface that stands off the rest is said, and steps of coordinates are no comb."""
 
 import re
+from types import SimpleNamespace
 
 import matplotlib.pyplot as plt
 import numpy as np
+import pandas as pd
 import pytest
+from scipy.stats import median_abs_deviation, norm
 
-from mmqa_lab.chart_cloud import evaluate_cloud
+from mmqa_lab.chart_cloud import chart_polygon, doubts, evaluate_cloud, inside_polygon
+from mmqa_lab.chart_cloud.evaluate import outline_on
 from mmqa_lab.cloud import Cloud
+from mmqa_lab.planes import CONSISTENT_SCALE, fit_plane, sigma_mad
+from mmqa_lab.rotations import turned
 
 
 def sill(rng, share):
@@ -91,3 +97,210 @@ def test_steps_of_the_axis_across_a_surface_decide_its_noise(rng, axis):
     assert not [one for one in coarse.remarks if "stand off" in one or "layers" in one]
     assert coarse.step_mm == pytest.approx(1)
     assert coarse.d1_mm == pytest.approx(fine.d1_mm, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("share", "step_mm", "times", "off"),
+    [(0.05, 0, 4.15, False), (0.05, 0, 4.4, True), (0.008, 0, 20, False), (0.012, 0, 20, True),
+     (0.29, 0, 20, True), (0.31, 0, 20, False), (0.05, 9, 17, False), (0.05, 9, 19, True)],
+)  # fmt: skip
+def test_what_stands_off_is_told_by_sigmas_by_its_share_and_by_steps(share, step_mm, times, off):
+    """Quantiles of a normal distribution about 2 m, some farther: with 5 % sigma is 6 % more."""
+    n = 4000
+    x, y = np.random.default_rng(2).uniform(0, 4, (2, n))
+    quantiles = norm.ppf((np.random.default_rng(3).permutation(n) + 0.5) / n)
+    z = 2 + 0.001 * np.clip(quantiles, -3, 3)
+    part = np.arange(n) < share * n
+    spread = sigma_mad(z[~part])  # about as of all
+    z[part] = 2 + np.where(np.arange(n) % 2, 1, -1)[part] * times * (0.001 if step_mm else spread)
+    mask, plane = doubts.part_off(np.column_stack([x, y, z]), CONSISTENT_SCALE, step_mm)
+    assert (plane is not None) == off
+    assert mask.sum() == (part.sum() if off else 0)
+    if off:
+        assert np.array_equal(mask, part)
+        assert plane.n == n - part.sum()
+
+
+def test_what_stands_off_counts_from_the_median_of_the_distances(rng):
+    """Most points lie exactly in a plane, a quarter up to 2 mm above: their median is not zero."""
+    points = np.column_stack([rng.uniform(0, 4, (2, 3000)).T, 0.002 * rng.random(3000) ** 4])
+    points[:150, 2] += 0.02
+    away = fit_plane(points, robust=True).distances(points)
+    expected = np.abs(away - np.median(away)) > 4 * sigma_mad(away)
+    mask, _ = doubts.part_off(points, CONSISTENT_SCALE)
+    assert np.array_equal(mask, expected)
+    assert np.count_nonzero(np.abs(away + np.median(away)) > 4 * sigma_mad(away)) != mask.sum()
+
+
+def test_a_part_is_said_with_the_turn_of_the_plane_and_both_sigmas(rng):
+    points = sill(rng, 0.1)
+    plane = fit_plane(points)
+    mask, without = doubts.part_off(points, CONSISTENT_SCALE)
+    turn = np.degrees(np.arccos(plane.normal @ without.normal))
+    both = [1000 * sigma_mad(one.residuals) for one in (plane, without)]
+    (said,) = doubts._part(points, plane, CONSISTENT_SCALE, 0.0)
+    assert said == (
+        f"{mask.sum()} points ({100 * mask.mean():.2g} %) stand off the others and turn the plane "
+        f"by {turn:.2g} degrees: sigma_MAD is {both[0]:.1f} mm with them, {both[1]:.1f} mm without."
+    )
+    assert doubts._part(points, without, CONSISTENT_SCALE, 0.0) == ()  # misleads nothing
+
+
+@pytest.mark.parametrize(("bow_mm", "bent"), [(1.85, False), (2.15, True)])
+def test_a_surface_is_bent_from_half_of_the_variance(bow_mm, bent, rng):
+    x, y = rng.uniform(-1, 1, (2, 4000)) * [[3], [1]]
+    bow = (x - y) ** 2 - x
+    height = bow_mm / 2 * (bow - bow.mean()) / bow.std() + rng.permutation(
+        norm.ppf((np.arange(4000) + 0.5) / 4000)
+    )
+    terms = np.column_stack([x**i * y**j for i in range(3) for j in range(3 - i)])
+    rest = height - terms @ np.linalg.lstsq(terms, height)[0]
+    share, block = 1 - rest.var() / height.var(), np.zeros(4000, int)
+    said = doubts._form(np.column_stack([x, y]), height, block, 0.0, CONSISTENT_SCALE)
+    sigma = 1.482602218505602 * median_abs_deviation(rest)
+    told = f"The surface is bent: its form is {100 * share:.0f} % of the variance of the "
+    told += f"distances. Without it sigma_MAD is {sigma:.1f} mm."
+    assert list(said) == [told] * bent
+    for step, known in ((3.9 * np.std(height), bent), (4.1 * np.std(height), False)):
+        found = doubts._form(np.column_stack([x, y]), height, block, step, CONSISTENT_SCALE)
+        assert bool(found) == known
+    assert doubts._form(np.column_stack([x, y])[:40], height[:40], block[:40], 0, 1.0) == []
+
+
+@pytest.mark.parametrize(("high_mm", "told"), [(0.7, False), (1.2, True), (4.0, True)])
+def test_a_stepped_surface_is_said_with_its_noise_within_blocks(high_mm, told, rng):
+    block = np.repeat(np.arange(16), 100)
+    xy = np.column_stack([block % 4 + rng.random(1600), block // 4 + rng.random(1600)])
+    noise = rng.normal(size=1600)
+    height = noise + high_mm * np.where((block % 4 + block // 4) % 2, 1, -1.0)
+    said = doubts._form(xy, height, block, 0.0, CONSISTENT_SCALE)
+    assert bool(said) == told
+    if told:
+        means = pd.Series(height).groupby(block).transform("mean")
+        within = 1.482602218505602 * median_abs_deviation(height - means) * np.sqrt(1600 / 1584)
+        assert said[0].endswith(f"Within 16 blocks sigma_MAD is {within:.1f} mm.")
+
+
+@pytest.mark.parametrize(
+    ("first", "between", "second", "told"),
+    [(1000, 475, 1000, True), (1000, 520, 1000, False), (60, 27, 60, True), (60, 31, 60, False),
+     (1000, 0, 55, True), (1000, 0, 50, False), (50, 0, 51, True), (49, 0, 50, False)],
+)  # fmt: skip
+def test_layers_are_two_peaks_with_a_dip_of_half_and_not_by_chance(first, between, second, told):
+    """Bins of 3 mm, one and a half steps: two are full, 18 mm apart, and five between are less."""
+    counts = [first, *[between] * 5, second]
+    heights = np.concatenate([3 * k + 3 * (np.arange(n) + 0.5) / n for k, n in enumerate(counts)])
+    assert np.std(heights) < 12  # a quarter of it is no wider bin
+    said = doubts._layers(heights, 2.0)
+    assert bool(said) == told
+    if told:
+        a, b = map(int, re.findall(r"(-?\d+) (?:and|mm)", said[0]))
+        assert (a, b) == pytest.approx((1.5, 19.5), abs=0.6)
+        assert doubts._layers(heights, 3.6) == []  # the bins are too wide
+
+
+def test_uneven_points_are_said_with_the_densities_of_blocks():
+    """16 blocks of 100 places on 8 m2 have 20 to 95 points, two are hardly in the outline."""
+    of, n = [100] * 14 + [40, 60], [*range(20, 90, 5), 500, 95]
+    block = np.concatenate([np.repeat(np.arange(16), of), np.repeat(np.arange(16), n)])
+    places = sum(of)
+    density = np.delete(np.divide(n, of), 14) * places / 8
+    low, high = np.percentile(density, [10, 90])
+    said = f"Points are uneven: {low:.0f} per m2 in the sparse tenth, {high:.0f} in the dense one."
+    assert doubts._uneven(block, places, 8.0) == (said,) * bool(high > 3 * low)
+    assert high > 3 * low
+    level = np.concatenate(
+        [np.repeat(np.arange(16), 100), np.repeat(np.arange(16), [20] * 8 + [58] * 8)]
+    )
+    assert doubts._uneven(level, 1600, 8.0) == ()  # 2.9 times
+    few = np.repeat(np.arange(16), [5] * 8 + [44] * 8)
+    for more, told in ((0, False), (8, True)):  # from 25 points a block on
+        given = np.concatenate([np.repeat(np.arange(16), 100), few, np.zeros(more, int)])
+        assert bool(doubts._uneven(given, 1600, 8.0)) == told
+
+
+@pytest.mark.parametrize("has_polygon", [True, False])
+@pytest.mark.parametrize(("empty", "told"), [(19, False), (21, True)])
+def test_gaps_are_said_from_a_fiftieth_of_places_farther_than_four_medians(
+    empty, told, has_polygon
+):
+    away = np.concatenate(
+        [np.full(1000 - empty - 100, 0.01), np.full(100, 0.039), np.full(empty, 0.041)]
+    )
+    for within, ends in ((0.03, True), (0.0389, False)):
+        said = doubts._gaps(SimpleNamespace(distances=away, e95=within), has_polygon)
+        assert len(said) == told * (1 + (ends if has_polygon else 1))
+        if told:
+            what = "polygon" if has_polygon else "hull of the points"
+            assert said[0].startswith(f"2 % of the {what} lies more than 40 mm from any point")
+        if told and has_polygon and ends:
+            assert "e95 is 39 mm" in said[1]
+
+
+def test_limits_of_steps_pairs_turns_and_chance():
+    assert [doubts.is_coarse(d1, 1.0) for d1 in (4.9, 5.1)] == [True, False]
+    assert [doubts.is_coarse(0.0, step) for step in (0.0011, 0.0009)] == [True, False]
+    assert doubts.is_below_step([4.9, 5.1], 10).tolist() == [True, False]
+    assert [doubts.of_pairs(1.0, d2)[0] for d2 in (4.9, 5.1)] == [False, True]
+    assert doubts.of_pairs(2.0, 14.0)[1]().startswith("d2 is 7 times d1")
+    assert [doubts.of_turns(beams)[0] for beams in (1, 2)] == [False, True]
+    assert doubts.of_copies(3, 400).startswith("3 points (0.75 %) share")
+    # across the surface a step counts as such from four of those along it
+    assert not doubts.of_steps(1.0, 3.5, 100.0, 3.9)[0]
+    assert doubts.of_steps(1.0, 3.5, 100.0, 4.1)[0] == ["sigma_MAD 3.5 mm"]
+    assert doubts.of_steps(1.0, 0.9, 4.9, 1.0)[0] == ["sigma_MAD 0.9 mm", "d1 4.9 mm"]
+    assert "in steps of 4.1 mm: too coarse for sigma_MAD" in doubts.of_steps(1.0, 3.5, 100, 4.1)[1]
+    assert not doubts.of_steps(9e-4, 1e-4, 1e-3, 9e-4)[0]
+    ways = np.array([[1.0, 0], [-1, 0], [0, 1], [0, -1]])
+    for wide, alike in ((1.09, True), (1.11, False)):
+        xy = ways * [wide**0.5, 1] @ turned(z=30)[:2, :2].T
+        assert doubts.is_by_chance(xy, "principal") == alike
+        assert not doubts.is_by_chance(xy, "horizontal")
+
+
+def test_the_outline_of_a_chart_lies_within_its_corners_as_a_stretched_square(rng):
+    """Corners of a board that is no rectangle: its square in the plane is mapped bilinearly."""
+    corners = np.array([[5.0, 1, 2], [7, 1.5, 2.2], [7.2, 1.5, 4], [4.8, 1, 3.4]])
+    margins = 0.3, 0.5, 0.1, 0.2  # lower, right, upper, left
+    wide, high = (np.linalg.norm(corners[k] - corners[0]) for k in (1, 3))
+    u, v = np.array([0.2, wide - 0.5]) / wide, np.array([0.3, high - 0.1]) / high
+    expected = []
+    for s, t in ((u[0], v[0]), (u[1], v[0]), (u[1], v[1]), (u[0], v[1])):
+        low, top = (
+            corners[0] + s * (corners[1] - corners[0]),
+            corners[3] + s * (corners[2] - corners[3]),
+        )
+        expected.append(low + t * (top - low))
+    flat = chart_polygon(corners, margins=margins)
+    assert flat == pytest.approx(np.array(expected))
+    square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    assert chart_polygon(square, margins=0.25)[:, :2] == pytest.approx(square[:, :2] / 2 + 0.25)
+    for none in ((0, 0.5, 0, 0.5), (0.5, 0, 0.5, 0), (-0.1, 0, 0, 0)):
+        with pytest.raises(ValueError, match=r"Must be >= 0 m and leave some of the chart\."):
+            chart_polygon(square, margins=none)
+    chart_polygon(square, margins=(0.4, 0.5, 0.5, 0.4))
+
+
+def test_a_polygon_aside_of_its_plane_is_projected_along_its_own_normal():
+    square = np.array([[0.0, 0, 3], [2, 0, 3], [2, 1, 3], [0, 1, 3]])
+    for degrees in (0, 30, 59):
+        tilt = np.radians(degrees)
+        plane = fit_plane(square @ turned(x=degrees).T)
+        outline = outline_on(square, plane, np.array([0, 0, 1.0]))
+        assert outline.area == pytest.approx(2 / np.cos(tilt))
+        where = outline.centroid.coords[0] @ plane.axes + plane.centre
+        assert where[:2] == pytest.approx([1, 0.5])
+    with pytest.raises(ValueError, match="Invalid polygon: 61 degrees to the surface"):
+        outline_on(square, fit_plane(square @ turned(x=61).T), np.array([0, 0, 1.0]))
+
+
+@pytest.mark.parametrize(("off_mm", "known"), [(98, True), (102, False)])
+def test_points_are_selected_within_the_thickness_and_vertices_within_its_half(off_mm, known):
+    """Two vertices up and two down: each is as far from the plane of all."""
+    twisted = np.array([[0.0, 0, 1], [1, 0, -1], [1, 1, 1], [0, 1, -1]]) * [1, 1, off_mm / 1000]
+    points = np.array([[0.5, 0.5, z] for z in (-0.21, -0.19, 0.19, 0.21)])
+    if known:
+        assert inside_polygon(points, twisted, thickness=0.2).tolist() == [False, True, True, False]
+    else:
+        with pytest.raises(ValueError, match=r"a vertex is 102 mm off .* at most 100 mm"):
+            inside_polygon(points, twisted, thickness=0.2)

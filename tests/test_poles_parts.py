@@ -245,6 +245,7 @@ def test_circles_stand_where_their_weighted_misfits_balance(rng):
     assert exact[0][[0, 2]] == pytest.approx(np.array([[0.3, -0.2], [-0.1, 0.2]]), abs=1e-8)
     assert exact[1][[0, 2]] == pytest.approx([0.1, 0.3], abs=1e-8)
     assert exact[2][[0, 2]] == pytest.approx([0, 0], abs=1e-8)
+    assert [part[1].tolist() for part in exact] == [[0, 0], 0.01, 0]  # without points
     off += 0.02 * rng.standard_t(3, (150, 2))
     centre, radius, rough = axes.circles(a, off, 3, steps=200, hold=1e-6)
     for k in (0, 2):
