@@ -145,6 +145,10 @@ def test_what_is_empty_or_wide_fits_the_terminal():
     assert text.count("said once") == 1
     assert not {"none", "missing"} & set(text.split())
     assert machine.as_text(wide[:0]).splitlines()[-1] == "none"
+    table = pd.DataFrame({"file": ["a", "a", "b"], "f": [1, np.nan, 2]})
+    table["remarks"] = ["It is bent.", "f has no points. It is bent.", "It is bent."]
+    said = machine.as_text(table).splitlines()[-3:]
+    assert said == ["a: It is bent.", "a: f has no points.", "b: It is bent."]
 
 
 def test_a_backslash_in_a_name_does_not_turn_a_table_round():

@@ -279,12 +279,17 @@ def as_text(frame):
 
 
 def _sentences(frame, column):
-    """The texts of a column, each once, behind the name of its file."""
+    """The texts of a column, each once for a file, behind its name."""
     if column not in frame:
         return []
-    names = frame["file"] + ": " if "file" in frame and len(frame) > 1 else ""
-    names = names if column == "remarks" else names + f"{column}: "
-    return (names + frame[column])[frame[column].fillna("") != ""].unique()
+    names = frame["file"] + ": " if "file" in frame and len(frame) > 1 else [""] * len(frame)
+    told = {}
+    for name, text in zip(names, frame[column].fillna(""), strict=True):
+        for one in told.setdefault(name, {}):
+            text = text.removesuffix(one).rstrip()
+        told[name] |= {text: None} if text else {}
+    label = "" if column == "remarks" else f"{column}: "
+    return [f"{name}{label}{text}" for name, texts in told.items() for text in texts]
 
 
 def check_ending(path, name, endings):
