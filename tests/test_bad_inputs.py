@@ -121,6 +121,7 @@ COMMANDS = [
     ("chart --out chart.docx", "Invalid ending '.docx'. Must be one of .pdf, .svg."),
     ("image words.csv", "no image that can be decoded. Must be a complete JPEG"),
     ("image cut.png", "cut short. Must be a complete JPEG, PNG or TIFF file"),
+    ("image no_pages.tif", "of another kind. Must be a complete JPEG, PNG or TIFF file"),
     ("image grey.png --corners '1,1; a,2'", "Must be four times x,y between ;."),
     ("radiometry star grey.png", "Invalid star without targets. Must have --targets."),
     ("radiometry star grey.png --targets path.csv", "no column 'x_px'"),

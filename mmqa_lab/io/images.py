@@ -133,9 +133,7 @@ def _open_tiff(path):
 
     logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # a sentence says what is wrong
     with reading(path, "image", IMAGES):
-        file = tifffile.TiffFile(path)
-        file.pages.first  # noqa: B018 - or an error, where there is no page
-        return file
+        return tifffile.TiffFile(path)
 
 
 def _first_page(path, file):

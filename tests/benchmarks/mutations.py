@@ -324,7 +324,6 @@ FAULTS = (
     ("io", 'TYPES[size][0] != "f"', "True", "test_bad_inputs.py"),
     ("io", "~(found.abs() < NO_NUMBER)", "~np.isfinite(found)", "test_bad_inputs.py"),
     ("io", 'raw.find(b"\\0")) >= 0', 'raw.find(b"\\0")) < -1', "test_bad_inputs.py"),
-    ("io", "file.pages.first ", "file.pages ", "test_bad_inputs.py"),
     ("io", "cv2.imdecode(np.frombuffer(data, np.uint8), flags)", "cv2.imread(str(path), flags)",
      "test_commands.py"),
     ("_checks", "refuse(largest > FARTHEST_M", "refuse(False", "test_bad_inputs.py"),
