@@ -48,10 +48,10 @@ def test_a_quick_run_is_not_stored(tmp_path):
 
 
 def picture(pixels):
-    """A noisy picture as PNG, and in base 64."""
+    """A noisy picture of greys as PNG, and in base 64."""
     stream = io.BytesIO()
-    noise = np.random.default_rng(0).integers(0, 255, (pixels // 2, pixels, 3), dtype=np.uint8)
-    Image.fromarray(noise).save(stream, "png")
+    noise = np.random.default_rng(0).integers(0, 255, (pixels // 2, pixels), dtype=np.uint8)
+    Image.fromarray(noise).convert("RGB").save(stream, "png")
     return stream.getvalue(), base64.b64encode(stream.getvalue()).decode()
 
 
