@@ -1,5 +1,6 @@
 """What stands along a street: the sizes that are stated, from many draws, and where houses are."""
 
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,9 +13,8 @@ from mmqa_lab.simulate import streets
 AT, PLAN = np.array([6.0, 20.0, 0.5]), streets.PLANS["quiet"]
 
 
-def drawn(kind, n=300):
+def drawn(build, n=300):
     """The truth of many things of a kind, and their surfaces, crowns without their leaves."""
-    build = getattr(streets, f"_{kind}")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(streets, "crown", lambda *_: None)
         made = [build(np.random.default_rng(k), AT, 1, PLAN) for k in range(n)]
@@ -36,15 +36,15 @@ def extent_of(surface):
 
 
 def test_poles_have_the_sizes_that_are_stated():
-    lamp, _ = drawn("lamp")
+    lamp, _ = drawn(streets._lamp)
     assert reaches(lamp["height_m"], 4.5, 9.0)
     assert reaches(lamp["diameter_base_m"], 0.11, 0.2)
     assert reaches(lamp["diameter_top_m"], 0.06, 0.09)
-    sign, _ = drawn("sign")
+    sign, _ = drawn(streets._sign)
     assert reaches(sign["height_m"], 2.2, 3.4)
     assert set(sign["diameter_base_m"].round(6)) == {0.06, 0.076, 0.09}
     assert (sign["diameter_top_m"] == sign["diameter_base_m"]).all()
-    tree, _ = drawn("tree", 500)
+    tree, _ = drawn(streets._tree, 500)
     assert reaches(tree["diameter_base_m"], 0.12, 0.4)
     assert reaches(tree["diameter_top_m"] / tree["diameter_base_m"], 0.6, 0.9)
     low = tree["clear_height_m"] < 1.75
@@ -52,7 +52,7 @@ def test_poles_have_the_sizes_that_are_stated():
     assert reaches(tree["clear_height_m"][low], 0.7, 1.5)
     assert reaches(tree["clear_height_m"][~low], 2.0, 3.5)
     assert reaches(tree["height_m"] - tree["clear_height_m"], 1.25, 2.5)  # half a crown
-    other, _ = drawn("other", 500)
+    other, _ = drawn(streets._other, 500)
     high = other["height_m"] > 2
     assert high.mean() == pytest.approx(0.6, abs=0.07)
     assert reaches(other["height_m"][high], 3.0, 9.0)
@@ -64,15 +64,15 @@ def test_poles_have_the_sizes_that_are_stated():
 
 
 def test_poles_lean_as_much_as_stated():
-    for kind, degrees in (("lamp", 1.0), ("tree", 2.5)):
-        truth, _ = drawn(kind)
+    for build, degrees in ((streets._lamp, 1.0), (streets._tree, 2.5)):
+        truth, _ = drawn(build)
         lean = np.degrees(np.arctan(truth[["lean_x", "lean_y"]].to_numpy()))
         assert lean.std() == pytest.approx(degrees, rel=0.08)
         assert np.abs(lean.mean(axis=0)).max() < 0.15 * degrees
 
 
 def test_boards_of_signs_face_along_the_road_and_every_third_has_a_second():
-    _, parts = drawn("sign")
+    _, parts = drawn(streets._sign)
     boards = [one[1] for one in parts]
     assert np.mean([len(one) > 1 for one in boards]) == pytest.approx(0.35, abs=0.06)
     # a board that faces along the road is wide across it
@@ -189,9 +189,137 @@ def test_visible_poles_have_points_lines_and_a_height(rng):
 
 
 def test_signs_face_along_the_road_within_eight_degrees():
-    _, parts = drawn("sign", 600)
+    _, parts = drawn(streets._sign, 600)
     normals = np.array([one[1].shape[0, 6:8] for one in parts])
     off = np.degrees(np.arctan(normals[:, 0] / normals[:, 1]))
     assert off.std() == pytest.approx(8, rel=0.1)
     assert abs(off.mean()) < 1.5
     assert np.mean(normals[:, 1] > 0) == pytest.approx(0.5, abs=0.08)
+
+
+@pytest.mark.parametrize("kind", ["lamp", "sign", "other", "tree"])
+def test_feet_stand_at_the_road_or_among_the_yards_as_often_as_the_plan_says(kind):
+    plan = streets.Plan(far_share=0.6)
+    rng = np.random.default_rng(3)
+    feet = np.array([streets._foot(rng, kind, side, 80.0, plan) for side in (1, -1) * 1500])
+    assert (feet[::2, 0] > 0).all()
+    assert (feet[1::2, 0] < 0).all()
+    assert not feet[:, 2].any()
+    assert reaches(feet[:, 1], 0, 80)
+    across = np.abs(feet[:, 0])
+    far = across > streets.FAR_M
+    assert reaches(across[far], 12.5, 29)
+    beside = kind in ("lamp", "sign")
+    assert reaches(across[~far], 4, 7 if beside else 12)
+    assert far.mean() == pytest.approx(0.18 if beside else 0.6, abs=0.03)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_foot_is_inside_a_building_up_to_eight_decimetres_from_it(side):
+    block = side, 15.0, 30.0, 12.0
+    within = [(14.21, 36), (40, 36), (20, 29.21), (20, 42.79)]
+    beside = [(14.19, 36), (20, 29.19), (20, 42.81), (-20, 36)]
+    for x, y in within + beside:
+        inside = (x, y) in within
+        assert streets._inside((side * x, y), block) == inside
+
+
+def test_buildings_stand_in_rows_with_gaps_at_their_setbacks():
+    plan = streets.Plan(building_share=0.5, setback_m=(12.0, 26.0))
+    found = [streets._buildings(plan, 200.0, seed) for seed in range(40)]
+    every = streets._buildings(streets.Plan(building_share=1.0), 200.0, 1)
+    sizes, setbacks = (np.array([[one[k] for made in found for one in made]][0]) for k in (3, 1))
+    assert reaches(sizes, 10, 26)
+    assert reaches(setbacks, 12, 26)
+    for side in (-1, 1):
+        row = [(start, size) for one, _, start, size in every if one == side]
+        assert row[0][0] == -20
+        assert row[-1][0] < 220 <= row[-1][0] + row[-1][1] + 10
+        gaps = [b[0] - a[0] - a[1] for a, b in pairwise(row)]
+        assert 2 <= min(gaps) <= max(gaps) <= 10
+    # a house and a gap take 24 m on average, the last one begins before 220 m
+    count = np.mean([len(made) for made in found])
+    assert count == pytest.approx(0.5 * 2 * (240 / 24 + 0.7), rel=0.08)
+
+
+def test_poles_keep_clear_of_buildings_and_of_each_other_and_have_shrubs(monkeypatch):
+    monkeypatch.setattr(streets, "crown", lambda *given: SimpleNamespace(label=given[-1]))
+    plan = streets.Plan(trees_per_100m=60, signs_per_100m=40, lamps_per_100m=40,
+                        others_per_100m=60, shrub_share=0.35, thicket_share=0.6)  # fmt: skip
+    block = (1, 15.0, 30.0, 60.0)
+    bushes, kinds, sides = [], [], []
+    for seed in range(6):
+        found = list(streets._poles(plan, 120.0, seed, [block]))
+        feet = []
+        for parts, truth in found:
+            height = truth["height_m"]
+            foot = np.array([truth["x_m"] - truth["lean_x"] * height / 2,
+                             truth["y_m"] - truth["lean_y"] * height / 2])  # fmt: skip
+            feet.append(foot)
+            assert not streets._inside(foot, block)
+            labels = [one.label for one in parts]
+            bushes.append(("shrub" in labels, "thicket" in labels, abs(foot[0]) >= 12.5))
+            assert parts[0].label == truth["class"]
+            kinds.append(truth["class"])
+            sides.append(np.sign(foot[0]))
+        apart = np.linalg.norm(np.array(feet)[:, None] - feet, axis=2)
+        assert apart[np.triu_indices(len(feet), 1)].min() >= 1
+    bushes = np.array(bushes)
+    assert bushes[:, 0].mean() == pytest.approx(0.35, abs=0.06)
+    assert bushes[bushes[:, 2], 1].mean() == pytest.approx(0.6, abs=0.08)
+    assert not bushes[~bushes[:, 2], 1].any()
+    open_ = np.array(kinds)[np.array(sides) < 0]  # where no building stands; some are crowded
+    for kind, rate in (("lamp", 40), ("sign", 40), ("other", 60), ("tree", 60)):
+        expected = 6 * 0.5 * rate * 1.2
+        assert 0.7 * expected < (open_ == kind).sum() < 1.15 * expected
+
+
+@pytest.mark.parametrize(("kind", "limits"), streets.BUSHES.items())
+def test_bushes_grow_around_a_foot(kind, limits, monkeypatch):
+    given = []
+    monkeypatch.setattr(streets, "crown", lambda *args: given.append(args))
+    for seed in range(400):
+        streets._bush(np.random.default_rng(seed), AT, kind)
+    middles, radii = (np.array([one[k] for one in given]) for k in (0, 1))
+    assert np.array_equal(radii[:, 0], radii[:, 1])
+    low, high = limits
+    assert reaches(radii[:, 0], low[0], high[0])
+    assert reaches(2 * radii[:, 2], low[1], high[1])
+    assert reaches(np.array([one[2] for one in given]), low[2], high[2])
+    assert middles[:, 2] == pytest.approx(AT[2] + radii[:, 2])
+    off = middles[:, :2] - AT[:2]
+    assert off.std(axis=0) == pytest.approx([0.2, 0.2], rel=0.12)
+    assert np.abs(off.mean(axis=0)).max() < 0.03
+    assert {one[4] for one in given} == {kind}
+
+
+def test_leaves_of_a_tree_fill_its_crown_above_the_clear_height(monkeypatch):
+    given = []
+    monkeypatch.setattr(streets, "crown", lambda *args: given.append(args))
+    for seed in range(300):
+        _, truth = streets._tree(np.random.default_rng(seed), AT, 1, PLAN)
+        middle, radii, density, _ = given[-1]
+        assert middle == pytest.approx(AT + [0, 0, truth["clear_height_m"] + radii[2]])
+        assert radii[0] == radii[1]
+        assert density == 1
+        assert truth["height_m"] == pytest.approx(truth["clear_height_m"] + radii[2])
+    radii = np.array([one[1] for one in given])
+    assert reaches(radii[:, 0], 1.0, 2.4)
+    assert reaches(2 * radii[:, 2], 2.5, 5.0)
+
+
+def test_lamps_reach_over_the_road_and_their_head_hangs_there():
+    arms = []
+    for side in (1, -1):
+        for seed in range(200):
+            (post, head), truth = streets._lamp(np.random.default_rng(seed), AT, side, None)
+            top = AT + truth["height_m"] * np.array([truth["lean_x"], truth["lean_y"], 1])
+            tip = head.centre[1:].mean(axis=0) + [0, 0, 0.025]  # of a box of 15 cm, 10 cm lower
+            reach = (top - tip) * [side, 1, 1]
+            assert reach[1:] == pytest.approx([0, -0.2], abs=1e-9)
+            arms.append(reach[0])
+            assert post.reflectance[0] == 0.35
+            assert np.ptp(head.centre[1:, 0]) == pytest.approx(0.6)
+            assert np.ptp(head.centre[1:, 1]) == pytest.approx(0.25)
+            assert np.ptp(head.centre[1:, 2]) == pytest.approx(0.15)
+    assert reaches(np.array(arms), 0.3, 2.0)
