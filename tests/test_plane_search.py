@@ -161,3 +161,119 @@ def test_a_noisy_wall_has_its_plane_and_a_filled_volume_has_none(rng):
     assert abs(part.plane.normal @ normal) > 0.9999
     assert part.sigma == pytest.approx(off.std(), rel=0.1)
     assert detect_planes(rng.uniform(0, 1, (1500, 3)), tolerance=0.05, size=1.0) == []
+
+
+def test_trials_are_those_of_plain_vectors(rng):
+    """Three seeds, one of them with too few points, one without three points of a plane."""
+    parts = [rng.uniform(0, 1, (120, 3)) * [1, 1, 0.15], rng.uniform(5, 6, (5, 3)),
+             rng.normal(9, 3, (60, 3))]  # fmt: skip
+    points, start = np.concatenate(parts), np.r_[np.arange(0, 120, 4), np.arange(120, 186, 5)]
+    owner, counts = np.full(185, -1), np.diff(start)
+    cells, seeds = (points, start, None), np.array([0, 30, 31])
+    near = np.array([[[0, 30]], [[30, 31]], [[31, 43]]])
+    trials, tolerance, edge = rng.random((40, 3)), 0.03, 0.4
+    planes, scores = np.zeros((3, 2, 3)), np.zeros(3)
+    growth.try_planes(
+        0, 3, cells, owner, counts, seeds, near, trials, tolerance, edge, planes, scores
+    )
+    room, far, known = np.zeros((3, 375)), np.zeros(375), 0
+    for s in range(3):
+        n = growth._drawn(cells, owner, counts, near[s], seeds[s], room, far)
+        local, best = room[:, :n].T.copy(), []
+        for a, b, c in (trials * n).astype(int) if n >= 6 else ():
+            cross = np.cross(local[b] - local[a], local[c] - local[a])
+            if np.linalg.norm(cross) > edge**2 / 2:  # twice the area of the triangle
+                off = (local - local[a]) @ cross / np.linalg.norm(cross)
+                inside = np.abs(off) <= tolerance
+                best = inside if np.sum(inside) > np.sum(best) else best
+        if np.sum(best) < 6:
+            assert scores[s] == 0
+            continue
+        known += 1
+        taken = local[best]
+        values, vectors = np.linalg.eigh(np.cov(taken.T, ddof=0) * len(taken))
+        assert scores[s] == pytest.approx(len(taken) - values[0] * 3 / tolerance**2)
+        assert planes[s, 0] == pytest.approx(taken.mean(axis=0))
+        assert abs(planes[s, 1] @ vectors[:, 0]) == pytest.approx(1)
+    assert known == 1
+
+
+def test_cells_spread_as_by_sets(rng):
+    points = rng.uniform(0, 4, (1500, 3)) * [1, 1, 0.25]
+    points[:700, 2] = 0.5 + 0.02 * rng.normal(size=700)
+    points = points[~((np.abs(points[:, 0] - 2) < 0.6) & (points[:, 1] < 3))]  # nearly two parts
+    grid, cells = grid_of(points)
+    owner = np.where(rng.random(len(grid.points)) < 0.1, 3, -1)
+    plane = np.array([[1.0, 1, 0.5 - grid.low[2]], [0.02, 0, 1]])
+    plane[1] /= np.linalg.norm(plane[1])
+    off = np.abs((grid.points - plane[0]) @ plane[1])
+    cell = np.repeat(np.arange(len(grid.keys)), np.diff(grid.start))
+    on = np.bincount(cell[(owner < 0) & (off <= 0.03)], minlength=len(grid.keys))
+    wide = np.bincount(cell[(owner < 0) & (off <= 0.09)], minlength=len(grid.keys))
+    good = (on > 0) & (on >= np.diff(grid.start) / 4)
+    seed = int(np.argmax(on))
+    reach, seen_cells, taken_cells = [seed], {seed}, set()
+    while reach:
+        one = reach.pop()
+        if good[one]:
+            taken_cells.add(one)
+            around = np.abs(grid.places - grid.places[one]).max(axis=1) <= 1
+            new = set(np.flatnonzero(around)) - seen_cells
+            reach += new
+            seen_cells |= new
+    marks, seen = np.zeros((2, len(grid.keys)), dtype=np.int64)
+    moments = np.ones((4, 4))
+    n, taken, beside = growth._spread(cells, owner, seed, plane, 0.03, 9, marks, seen, moments)
+    assert set(seen[:n]) == seen_cells
+    assert n == len(seen_cells)
+    assert taken == len(taken_cells) > 20
+    assert set(np.flatnonzero(marks == 10)) == taken_cells
+    assert set(np.flatnonzero(marks == 9)) == seen_cells - taken_cells
+    of_seen = sum(wide[one] for one in seen_cells) - sum(on[one] for one in taken_cells)
+    assert beside == of_seen
+    own = np.isin(cell, [*taken_cells]) & (owner < 0) & (off <= 0.03)
+    local = np.column_stack([np.ones(own.sum()), grid.points[own] - plane[0]])
+    assert moments == pytest.approx(local.T @ local)
+    assert not good[[*seen_cells]].all()
+
+
+def test_the_height_of_a_plane_is_as_sure_as_a_regression_says(rng):
+    points = np.column_stack([rng.uniform(-2, 2, (2, 300)).T * [2, 1], 0.01 * rng.normal(size=300)])
+    plane, moments, sigma = detection._trimmed(points, np.zeros(3), np.array([0, 0, 1.0]), 0.05)
+    part = detection.PlanePart(plane, np.arange(300), np.arange(300), moments, sigma)
+    assert sigma == pytest.approx(0.01, rel=0.1)
+    core = points[np.abs(plane.distances(points)) <= np.abs(plane.residuals).max() + 1e-12]
+    assert len(core) == plane.n
+    assert sigma == pytest.approx(
+        detection.TRIMMED * np.sqrt((plane.residuals**2).sum() / (plane.n - 3))
+    )
+    rows = np.column_stack([np.ones(plane.n), core[:, :2]])
+    inverse = np.linalg.inv(rows.T @ rows)
+    for place in ([0.0, 0, 0], [3.0, 1, 0], [-4.0, 2, 0]):
+        at = np.array([1, *place[:2]])
+        expected = (detection.TRIMMED * sigma) ** 2 * (at @ inverse @ at)
+        assert part.offset_variance(np.array(place)) == pytest.approx(expected, rel=1e-3)
+    # far points are trimmed by 2.5 sigma_MAD, those of reveals on one side, too
+    points[:20, 2] += 0.045
+    plane, _, sigma = detection._trimmed(points, np.zeros(3), np.array([0, 0, 1.0]), 0.05)
+    off, away = points[:, 2], points[:, 2]
+    for _ in range(2):
+        most = 2.5 * 1.482602218505602 * np.median(np.abs(away - np.median(away)))
+        core = points[np.abs(off - np.median(away)) <= most]
+        middle = core.mean(axis=0)
+        normal = np.linalg.eigh(np.cov(core.T))[1][:, 0]
+        normal *= np.sign(normal[2])
+        off, away = (points - middle) @ normal, (core - middle) @ normal
+    assert plane.n == len(core)
+    assert plane.centre == pytest.approx(middle)
+    assert sigma == pytest.approx(1.05 * np.sqrt((away**2).sum() / (len(core) - 3)))
+    exact = points * [1, 1, 0]
+    exact[:9, 2], exact[9:18, 2] = 0.0024, 0.0026  # within and beyond a fiftieth of 5 cm, 2.5 times
+    assert detection._trimmed(exact, np.zeros(3), np.array([0, 0, 1.0]), 0.05)[0].n == 291
+
+
+def test_the_usual_size_of_scan_lines_far_apart_is_larger():
+    along = np.arange(0, 12, 0.02)
+    for gap, size in ((0.8, 1), (0.1, 0)):
+        x, y = (one.ravel() for one in np.meshgrid(along, np.arange(0.07, 12, gap)))
+        assert usual_size(np.column_stack([x, y, 0 * x])) == detection.USUAL_SIZES[size]

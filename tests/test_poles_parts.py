@@ -278,8 +278,8 @@ def test_circles_begin_algebraically_and_take_damped_steps():
     flat = ring(30.0, 50, end=0.01)  # nearly straight: no farther than the widest
     centre, *_ = axes.circles(np.zeros(50, int), flat, 1, steps=0)
     assert np.hypot(*(centre[0] - flat.mean(axis=0))) <= axes.WIDEST_M * (1 + 1e-9)
-    _, (tiny,), _ = axes.circles(np.zeros(9, int), np.zeros((9, 2)), 1)
-    assert tiny == 0.01
+    _, (tiny,), (rough,) = axes.circles(np.zeros(9, int), np.zeros((9, 2)), 1)
+    assert (tiny, rough**2) == pytest.approx((0.01, 1e-9))  # of one spot
 
 
 def shifted(field, i, j):
