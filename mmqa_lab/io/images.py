@@ -25,8 +25,9 @@ DNG_ENDINGS = (".dng",)
 IMAGE_ENDINGS = (*TIFF_ENDINGS, *DNG_ENDINGS, ".jpg", ".jpeg", ".png")
 IMAGES = "a complete JPEG, PNG or TIFF file of 8 or 16 bits"
 
-# Kinds of grey values in TIFF 6.0, and how each orientation is turned upright.
+# Kinds of grey values and of a last band in TIFF 6.0, and how each orientation is turned upright.
 WHITE_IS_ZERO, PALETTE, ORIENTATION = 0, 3, 274
+ALPHA = (1, 2)
 ORIENTATIONS = {2: (0, 1), 3: (2, 0), 4: (2, 1), 5: (3, 1), 6: (3, 0), 7: (1, 1), 8: (1, 0)}
 
 # Values of a picture of 300 megapixels in colour: more are not decoded.
@@ -50,10 +51,11 @@ LINEAR_CURVES = (
 )  # fmt: skip
 ICC_HEAD = 128
 
-# Markers of JPEG without a length, and of frames (ISO 10918-1, B.1.1.3); bands by kind of PNG.
-BARE_MARKERS = (0x01, *range(0xD0, 0xD9), 0xFF)
+# What may stand before a marker of JPEG, those without a length, and those of frames (ISO 10918-1,
+# B.1.1.2 and B.1.1.3); bands by kind of PNG, and those with transparency.
+FILL, BARE_MARKERS = 0xFF, (0x01, *range(0xD0, 0xD9))
 FRAME_MARKERS = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
-PNG_BANDS = {2: 3, 3: 3, 4: 2, 6: 4}
+PNG_BANDS, PNG_ALPHA = {2: 3, 3: 3, 4: 2, 6: 4}, (4, 6)
 
 
 def read_image(path: str | os.PathLike) -> np.ndarray:
@@ -74,6 +76,11 @@ def read_image(path: str | os.PathLike) -> np.ndarray:
         If there is no such file.
     ValueError
         If it is no image, or cut short.
+
+    Warns
+    -----
+    UserWarning
+        If pixels are transparent: they have the colours that are stored below.
 
     Examples
     --------
@@ -117,6 +124,8 @@ def read_bands(path: str | os.PathLike) -> np.ndarray:
         pixels, decoded = _tiff_pixels(path, page)
         kind, turn = page.photometric, page.tags.valueof(ORIENTATION, default=1)
         colours = page.colormap if kind == PALETTE else None
+        if {*page.extrasamples} & {*ALPHA}:
+            _say_transparent(path, pixels[..., -1])
     inverted = kind == WHITE_IS_ZERO and not (decoded and pixels.dtype == np.uint8)
     if inverted and pixels.dtype.kind == "u":
         pixels = (2**page.bitspersample - 1 - pixels).astype(pixels.dtype)
@@ -213,7 +222,19 @@ def _decoded(path, flags):
         refuse_unread(path, "image", endings=RAW_ENDINGS)
     refuse(DAMAGED.search(printed.getvalue()), f"image {path}", "damaged", IMAGES)
     refuse(pixels is None, f"image {path}", "no image that can be decoded", IMAGES)
+    if data[:2] == b"\x89P" and (data[25] in PNG_ALPHA or b"tRNS" in data[:HEAD]):
+        whole = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        if whole.ndim == 3 and whole.shape[2] == 4:
+            _say_transparent(path, whole[..., 3])
     return pixels
+
+
+def _say_transparent(path, alpha):
+    """Say it if pixels are transparent, of which the stored colours are read."""
+    share = np.mean(alpha < (np.iinfo(alpha.dtype).max if alpha.dtype.kind in "iu" else 1))
+    if share:
+        told = f"{100 * share:.3g} % of the pixels of {path} are transparent"
+        warnings.warn(f"{told}: the colours stored below are read.", stacklevel=4)
 
 
 def _say_profile(data, path):
@@ -235,7 +256,7 @@ def _shape(data):
     Of other files OpenCV itself refuses more than 2^30 pixels.
     """
     if data[:2] == b"\x89P":
-        high, wide, _, kind = struct.unpack(">IIBB", data[16:26].ljust(10, b"\0"))
+        wide, high, _, kind = struct.unpack(">IIBB", data[16:26].ljust(10, b"\0"))
         return b"IEND" in data, (high, wide, PNG_BANDS.get(kind, 1))
     if data[:2] != b"\xff\xd8":
         return True, ()
@@ -243,6 +264,6 @@ def _shape(data):
     while data[at : at + 1] == b"\xff" and data[at + 1 : at + 2] not in (b"\xda", b""):
         if data[at + 1] in FRAME_MARKERS:
             shape = struct.unpack(">HHB", data[at + 5 : at + 10].ljust(5, b"\0"))
-        bare = data[at + 1] in BARE_MARKERS
-        at += 2 + (0 if bare else int.from_bytes(data[at + 2 : at + 4], "big"))
+        length = int.from_bytes(data[at + 2 : at + 4], "big")
+        at += 1 if data[at + 1] == FILL else 2 if data[at + 1] in BARE_MARKERS else 2 + length
     return data.find(b"\xff\xd9", at) >= 0, shape
