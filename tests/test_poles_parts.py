@@ -375,6 +375,8 @@ def test_thinned_points_are_means_of_turned_and_moved_voxels(place, rng):
     thin = common.thinned(points, lambda xy: 0.5 + 0 * xy[:, 0], place)
     assert np.sort(thin.points, axis=0) == pytest.approx(np.sort(means, axis=0))
     assert thin.height == pytest.approx(thin.points[:, 2] - 0.5)
+    high = common.thinned(points, lambda xy: -18 + 0 * xy[:, 0], place).height
+    assert high.max() < 16 == pytest.approx(high.min())  # in the last of 64 bins
 
 
 def test_stripes_have_all_places_once_and_what_lies_within_six_metres(rng, monkeypatch):
