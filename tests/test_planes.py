@@ -12,6 +12,7 @@ from mmqa_lab.planes import (
     fit_circle,
     fit_line,
     fit_plane,
+    flat_points,
     sigma_mad,
 )
 
@@ -221,3 +222,98 @@ def test_two_shells_have_a_centre_where_they_lie_closer_than_a_radius(rng):
         ring = 0.3 * np.column_stack([np.cos(turn), np.sin(turn)])
         ring[:, 0] += aside * share * 0.3 / 2
         assert np.isfinite(fit_circle(ring, diameter=0.6).std) == known
+
+
+def rival_fit(points, diameter, start):
+    """A circle by scipy with slopes by differences, from the true circle, in other coordinates."""
+    middle = points.mean(axis=0)
+
+    def misfits(circle):
+        radius = diameter / 2 if diameter else circle[2]
+        return np.hypot(*(points - middle - circle[:2]).T) - radius
+
+    first = [*(np.array(start[:2]) - middle), start[2]][: 2 if diameter else 3]
+    close = {"xtol": 1e-14, "ftol": 1e-14, "gtol": 1e-14}
+    found = optimize.least_squares(misfits, first, loss="cauchy", f_scale=0.01, **close)
+    return found.x[:2] + middle, found.x[2] if not diameter else diameter / 2
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("covered", [1.2, 2.0, 3.5, 6.28])
+@pytest.mark.parametrize("far", [0.0, 5_411_000.0])
+def test_circles_are_those_of_a_search_from_the_truth(covered, known, far, rng):
+    """Arcs of 70 to 360 degrees with 2 mm of noise and one point in ten 3 cm off, to either side."""
+    stray = 0.03 * np.where(np.arange(80) % 20, 1, -1)
+    for radius in (0.05, 0.15, 0.4):
+        turn = rng.uniform(0, 6) + rng.uniform(0, covered, 80)
+        away = radius + 0.002 * rng.normal(size=80) + stray * (np.arange(80) % 10 == 0)
+        points = [far + 3, 2 * far - 7] + away[:, None] * np.column_stack(
+            [np.cos(turn), np.sin(turn)]
+        )
+        diameter = 2 * radius if known else None
+        found = fit_circle(points, diameter=diameter)
+        centre, size = rival_fit(points, diameter, (far + 3, 2 * far - 7, radius))
+        cost = [np.log1p(((np.hypot(*(points - at).T) - r) / 0.01) ** 2).sum()
+                for at, r in ((found.centre, found.radius), (centre, size))]  # fmt: skip
+        assert cost[0] <= cost[1] * (1 + 1e-6)  # the best of several starts
+        if np.isfinite(found.std):
+            assert found.centre == pytest.approx(centre, abs=1e-4, rel=1e-12)
+            assert found.radius == pytest.approx(size, abs=1e-4)
+            assert np.hypot(*(found.centre - [far + 3, 2 * far - 7])) < 5 * found.std + 0.001
+
+
+@pytest.mark.parametrize("diameter", [None, 0.2])
+def test_a_circle_on_the_other_side_of_a_short_arc_leaves_it_unknown(diameter, rng):
+    """The log likelihood ratio of both sides must be above 5, by the residuals of either."""
+    known = []
+    for covered in (0.2, 0.5, 0.8, 1.0, 1.2, 1.8, 2.4):
+        turn = np.linspace(-covered / 2, covered / 2, 40)
+        off = 0.001 * np.where(np.arange(40) % 2, 1, -1)
+        points = (0.1 + off)[:, None] * np.column_stack([np.cos(turn), np.sin(turn)])
+        found = fit_circle(points, diameter=diameter)
+        known.append(bool(np.isfinite(found.std)))
+        if diameter:
+            costs = []
+            for side in (0.0, 2 * points[:, 0].mean()):
+                search = optimize.least_squares(
+                    lambda at, points=points: np.hypot(*(points - at).T) - 0.1,
+                    [side, 0], loss="cauchy", f_scale=0.01,
+                )  # fmt: skip
+                costs.append(search.cost)
+            ratio = 38 * np.log(costs[1] / costs[0])
+            assert known[-1] == (ratio > 10), covered
+    assert known == sorted(known)  # from some length on
+    assert not known[0]
+    assert known[-1]
+
+
+def test_axes_of_a_plane_are_turned_by_degrees_and_points_flattened(rng):
+    points = rng.uniform(-1, 1, (60, 3)) * [3, 1, 0] @ np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    plane = fit_plane(points)
+    one, two = plane.directions(30.0)
+    assert one == pytest.approx((np.sqrt(3) * plane.axes[0] + plane.axes[1]) / 2)
+    assert two == pytest.approx((np.sqrt(3) * plane.axes[1] - plane.axes[0]) / 2)
+    assert np.array_equal(plane.directions("principal"), plane.axes)
+    assert np.array_equal(plane.directions("horizontal"), plane.horizontal_axes())
+    assert flat_points(points) == pytest.approx(plane.project(points))
+    for degrees, level in ((0.09, True), (0.11, False)):
+        tilt = np.radians(degrees)
+        flat = points @ np.vstack([plane.axes, plane.normal]).T  # in its own plane
+        tilted = fit_plane(flat @ [[1, 0, 0], [0, np.cos(tilt), np.sin(tilt)], [0, 0, 1]])
+        if level:
+            with pytest.raises(ValueError, match=r"tilted by 0\.090 degrees"):
+                tilted.horizontal_axes()
+        else:
+            assert np.abs(tilted.horizontal_axes()[0]) == pytest.approx([1, 0, 0], abs=1e-9)
+
+
+@pytest.mark.parametrize(("wide", "line"), [(0.9e-6, True), (1.2e-6, False)])
+def test_points_on_a_line_to_a_millionth_have_no_plane(wide, line):
+    x = np.linspace(-1, 1, 101)
+    points = np.column_stack([x, wide * np.where(np.arange(101) % 2, 1, -1) * np.sqrt(0.34), 0 * x])
+    for scale in (1.0, 1000.0):
+        if line:
+            with pytest.raises(ValueError, match="101 of them on one line or spot"):
+                fit_plane(scale * points)
+        else:
+            assert np.abs(fit_plane(scale * points).normal) == pytest.approx([0, 0, 1], abs=1e-6)
