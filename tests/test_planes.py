@@ -242,7 +242,7 @@ def rival_fit(points, diameter, start):
 @pytest.mark.parametrize("covered", [1.2, 2.0, 3.5, 6.28])
 @pytest.mark.parametrize("far", [0.0, 5_411_000.0])
 def test_circles_are_those_of_a_search_from_the_truth(covered, known, far, rng):
-    """Arcs of 70 to 360 degrees with 2 mm of noise and one point in ten 3 cm off, to either side."""
+    """Arcs of 70 to 360 degrees, 2 mm of noise, and one point in ten 3 cm off to either side."""
     stray = 0.03 * np.where(np.arange(80) % 20, 1, -1)
     for radius in (0.05, 0.15, 0.4):
         turn = rng.uniform(0, 6) + rng.uniform(0, covered, 80)

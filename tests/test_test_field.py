@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+import statsmodels.api as sm
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import Delaunay
@@ -13,8 +14,11 @@ from mmqa_lab.cloud import path_distance
 from mmqa_lab.simulate import test_field as made
 from mmqa_lab.test_field import (
     compare_heights,
+    drives,
     height_accuracy,
     height_differences,
+    heights,
+    plan,
     plan_accuracy,
     plan_differences,
     split_drives,
@@ -342,3 +346,104 @@ def test_poles_without_a_diameter_are_said_and_no_others(recwarn):
         n = 2 if "diameter_m" not in lacking else 1
         with pytest.warns(UserWarning, match=f"^{n} of 2 poles have no diameter: seen from one"):
             plan_differences(post, lacking)
+
+
+def test_figures_and_ends_of_errors_are_those_of_their_sums(rng):
+    """RMSE on a logarithmic scale, and Student's interval of sums over blocks."""
+    values, block = pd.Series(rng.normal(3, 2, 40)), np.arange(40) % 8
+    found = drives.figures(values, block)
+    square, sums = values**2, [(values**2)[block == k].sum() for k in range(8)]
+    rmse = np.sqrt(square.mean())
+    off = np.array(sums) - 5 * square.mean()
+    reach = t.ppf(0.975, 7) * np.sqrt((off**2).sum() * 8 / 7) / 40
+    share = reach / rmse**2 / 2
+    expected = {"mean_mm": values.mean(), "min_mm": values.min(), "max_mm": values.max()}
+    expected |= {"std_mm": values.std(), "rmse_mm": rmse}
+    expected |= {"rmse_low_mm": rmse * np.exp(-share), "rmse_high_mm": rmse * np.exp(share)}
+    assert found == pytest.approx(expected)
+    ends = drives.mean_ends("east", values, block)
+    off = np.array([values[block == k].sum() for k in range(8)]) - 5 * values.mean()
+    reach = t.ppf(0.975, 7) * np.sqrt((off**2).sum() * 8 / 7) / 40
+    mean = values.mean()
+    assert ends == pytest.approx({"east_low_mm": mean - reach, "east_high_mm": mean + reach})
+
+
+def test_a_trend_is_that_of_ordinary_least_squares(rng):
+    distance, values = rng.uniform(0, 30, (2, 25))
+    values[3], distance[9] = np.nan, np.nan
+    known = np.isfinite(values) & np.isfinite(distance)
+    fit = sm.OLS(values[known], sm.add_constant(distance[known])).fit()
+    found = trend(distance, values)
+    low, high = fit.conf_int()[1]
+    expected = [fit.params[1], fit.params[0], low, high, fit.pvalues[1], 23]
+    names = ["slope", "intercept", "slope_low", "slope_high", "p", "n"]
+    assert found[names].tolist() == pytest.approx(expected)
+    for few in ([1.0, 2.0], [1.0, 1.0, 1.0]):
+        with pytest.raises(ValueError, match="Must be three or more at different distances"):
+            trend(few, few)
+
+
+def test_a_square_keeps_the_point_next_to_its_middle_by_a_loop(rng):
+    points = rng.uniform(-5, 5, (400, 3))
+    found = {tuple(row) for row in thinned(points, 0.8)}
+    low = np.floor(points[:, :2].min(axis=0) / 0.8) * 0.8
+    place = np.floor((points[:, :2] - low) / 0.8)
+    expected = set()
+    for one in np.unique(place, axis=0):
+        own = points[(place == one).all(axis=1)]
+        away = np.hypot(*(own[:, :2] - low - 0.8 * (one + 0.5)).T)
+        expected.add(tuple(own[away.argmin()]))
+    assert found == expected
+
+
+@pytest.mark.parametrize(
+    ("kind", "inside", "outside"),
+    [("angle", 32, 28), ("aside", 0.47, 0.53), ("few", 1.0, 0.0), ("single", 1.0, 0.0)],
+)
+def test_corners_are_those_of_two_lines_within_limits(kind, inside, outside, rng):
+    """Walls of 1 m that meet at 90 degrees or less, with points each 2 cm and some strays."""
+    for value, known in ((inside, True), (outside, False)):
+        turn = np.radians(value if kind == "angle" else 75)
+        along = np.arange(0.01, 1.0, 0.02)
+        corner = np.array([0.05, -0.03]) if kind != "aside" else value * np.array([0.6, 0.8])
+        first = corner + along[:, None] * [1, 0]
+        second = corner + along[:, None] * [np.cos(turn), np.sin(turn)]
+        if not value and kind == "few":
+            first, second = first[:3], second[:2]
+        if not value and kind == "single":
+            second = first + [0, 0.01]
+        xy = np.vstack([first, second])
+        x, y, n, reason = plan._corner(rng.permutation(xy))
+        assert (reason == "") == known, (value, reason)
+        if known:
+            assert (x, y) == pytest.approx(corner, abs=1e-6)
+            assert 60 < n <= len(xy)  # those near the other line do not count
+            off = 2 * plan.NEAR_LINE_M / np.sin(turn)
+            assert n == pytest.approx(2 * (along > off).sum(), abs=2)
+    assert plan._corner(np.zeros((2, 2)))[2:] == (2, "too few points")
+
+
+def test_slopes_and_differences_are_those_of_fitted_planes(rng):
+    offsets, group = rng.uniform(-1, 1, (90, 3)), np.repeat([0, 2, 3], 30)
+    found = heights._slopes(offsets, group, 4)
+    for k in (0, 2, 3):
+        own = offsets[group == k]
+        _, a, b = np.linalg.lstsq(np.column_stack([np.ones(30), own[:, :2]]), own[:, 2])[0]
+        assert found[k] == pytest.approx(np.degrees(np.arctan(np.hypot(a, b))), rel=1e-6)
+    cloud = rng.uniform(-2, 2, (3000, 3))
+    cloud[:, 2] = 100 + np.tan(np.radians(14)) * cloud[:, 0]
+    spots = np.array([[0.3, 0.2, 100.0], [-0.5, 0.7, 99.9]])
+    for limit, reason in ((14.1, ""), (13.9, "slope")):
+        table = height_differences(cloud, spots, radius=0.3, slope_limit=limit)
+        expected = 100 + np.tan(np.radians(14)) * spots[:, 0] - spots[:, 2]
+        assert table["dz_m"].to_numpy() == pytest.approx(expected)
+        assert table["slope_deg"].to_numpy() == pytest.approx(14)
+        assert table["reason"].tolist() == [reason] * 2
+        near = np.hypot(*(cloud[:, None, :2] - spots[:, :2]).transpose(2, 0, 1)) <= 0.3
+        assert table["n"].tolist() == near.sum(axis=0).tolist()
+    accuracy = height_accuracy(pd.DataFrame({"dz_m": [0.01, -0.03, 0.02, 0.05], "reason": ""}))
+    assert accuracy["mean_mm"].tolist() == pytest.approx([12.5, 0])
+    assert accuracy["median_mm"].tolist() == pytest.approx([15, 2.5])
+    assert accuracy["le90_mm"].tolist() == pytest.approx([44, 41])
+    assert accuracy["nmad_mm"].tolist() == pytest.approx([1.4826 * 20] * 2, rel=1e-4)
+    assert accuracy["std_mm"].tolist() == pytest.approx([np.std([10, -30, 20, 50], ddof=1)] * 2)
