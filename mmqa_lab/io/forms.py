@@ -229,7 +229,7 @@ def _binary(data, at, elements, wanted, path, order):
     _, count, fields = elements[place]
     kind = _row(fields, order, path)
     there = (len(data) - at) // kind.itemsize
-    last = sum(later for _, later, _ in elements) == count
+    last = not any(later for _, later, _ in elements[place + 1 :])
     _check_count(there < count or (last and there > count), path, there, count)
     return np.frombuffer(data, kind, count, at)
 
