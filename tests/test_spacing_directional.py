@@ -1,12 +1,15 @@
 """Measures of anisotropy: known lattices, a brute force, turns and shifts."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mmqa_lab import stats
 from mmqa_lab.simulate.point_patterns import point_pattern
-from mmqa_lab.spacing import directional, line_parts, quadrants, turned_f
+from mmqa_lab.spacing import block_numbers, directional, line_parts, quadrants, turned_f
 from mmqa_lab.stats import WAVE_PARTS
 from mmqa_lab.studies.anisotropy import pair_contrast, structure_tensor
 
@@ -146,3 +149,48 @@ def test_waves_have_whole_lines_whatever_their_direction(degrees):
     assert np.ptp(along, axis=1).min() >= 0.98 * WAVE_PARTS - 1
     assert len(line_parts(np.random.default_rng(1).random((500, 2)))) == 4  # no direction
     assert line_parts(xy[:20]).tolist() == 20 * [0]
+
+
+def test_parts_of_lines_follow_a_direction_that_is_no_chance(rng):
+    xy = rng.random((400, 2))
+    for g, ways in ((1.15, 4), (1.17, 2)):  # 1 + 3.2 / 20
+        found = SimpleNamespace(n=400, g=g, direction_deg=30.0)
+        parts = line_parts(xy, found)
+        assert len(parts) == ways
+        expected = [(30.0,), (0, 45)][ways == 4]
+        for k, turn in enumerate(expected):
+            assert np.array_equal(parts[2 * k : 2 * k + 2], stats.order_parts(xy, turn))
+    for n, told in ((49, False), (50, True)):
+        assert (line_parts(xy[:n]).ndim == 2) == told
+        found = SimpleNamespace(n=n, g=9.0, direction_deg=0.0)
+        assert (line_parts(xy, found).ndim == 2) == told
+    assert line_parts(np.zeros((90, 2))).tolist() == [0] * 90
+
+
+def test_blocks_are_squares_of_the_extent(rng):
+    xy = rng.uniform(-7, 9, (300, 2)) * [1, 0.2]
+    for side in (2, 4, 5):
+        share = (xy - xy.min(axis=0)) / np.ptp(xy, axis=0)
+        expected = np.minimum(np.floor(share * side), side - 1) @ [side, 1]
+        assert np.array_equal(block_numbers(xy, side=side), expected)
+    assert block_numbers([[3, 0], [3, 1], [3, 2]], side=2).tolist() == [0, 1, 1]
+
+
+def test_intervals_of_directions_are_those_of_their_medians(rng):
+    found = directional(rng.random((300, 2)) * [1, 4])
+    at = round(found.direction_deg / 4) % 45
+    along = found.nearest[:, at]
+    across = found.nearest[:, round((found.direction_deg + 90) / 4) % 45]
+    parts = line_parts(found.xy, found)
+    table = found.intervals().set_index("figure")
+    for name, values in (("along", along), ("across", across)):
+        ends = 1000 * np.array(stats.median_interval(values, parts))
+        assert table.loc[name, ["low", "high"]].tolist() == pytest.approx(ends)
+        assert table.loc[name, "unit"] == "mm"
+    ends = stats.median_ratio_interval(across, along, parts)
+    assert table.loc["g", ["low", "high"]].tolist() == pytest.approx(ends)
+    assert table.loc["g", "value"] == pytest.approx(found.across / found.along)
+    turned = found.at(found.direction_deg + 180)
+    assert turned == pytest.approx(found.at(found.direction_deg))
+    low, high = found.spacing[[10, 11]]
+    assert found.at(41.0) == pytest.approx(0.75 * low + 0.25 * high)

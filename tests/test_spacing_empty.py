@@ -8,9 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 from scipy.stats import poisson
+from statsmodels.duration.survfunc import SurvfuncRight
 
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.spacing import empty_space
+from mmqa_lab.spacing.empty import EmptySpace, places_within
 
 BOARD = shapely.box(0, 0, 1, 1)
 
@@ -129,3 +131,40 @@ def test_nothing_to_measure_is_nan():
 def test_rejects(choices, said):
     with pytest.raises(ValueError, match=said):
         empty_space([[0, 0], [1, 0], [0, 1]], **choices)
+
+
+def test_shares_are_those_of_survival_where_the_outline_ends_what_is_known(rng):
+    """Kaplan and Meier's estimator, as of statsmodels."""
+    distances, border = rng.exponential(1, 200), rng.exponential(2, 200)
+    found = EmptySpace(np.zeros((200, 2)), distances, border)
+    reach, known = np.minimum(distances, border), distances <= border
+    other = SurvfuncRight(reach, known)
+    for distance in np.linspace(0, 0.9 * border.max(), 40):
+        before = other.surv_times <= distance
+        expected = 1 - other.surv_prob[before][-1] if before.any() else 0
+        assert found.share(distance) == pytest.approx(expected)
+    for share in (0.1, 0.5, 0.9):
+        first = other.surv_times[np.argmax(1 - other.surv_prob >= share)]
+        assert found.quantile(share) == pytest.approx(first)
+    assert found.e95 == found.quantile(0.95) or np.isnan(found.e95)
+    assert np.isnan(found.share(1.001 * border.max()))
+    assert np.isfinite(found.share(0.999 * border.max()))
+    none = EmptySpace(np.zeros((9, 2)), np.full(9, 3.0), np.ones(9))
+    assert np.isnan(none.quantile(0.1))
+    assert none.share(1.0) == 0
+
+
+def test_places_are_as_many_and_as_even_within_any_outline():
+    ring = shapely.Point(0, 0).buffer(1.0).difference(shapely.Point(0.2, 0).buffer(0.5))
+    two = shapely.union(ring, shapely.box(3, 0, 3.5, 1))
+    for outline in (shapely.box(5e6, 2, 5e6 + 2, 7), two):
+        places = places_within(outline, 2000)
+        assert len(places) == pytest.approx(2000, rel=0.03)
+        assert shapely.contains_xy(outline, *places.T).all()
+        low, high = np.reshape(outline.bounds, (2, 2))
+        middle = (low + high)[0] / 2
+        part = shapely.intersection(outline, shapely.box(*low, middle, high[1])).area
+        assert np.mean(places[:, 0] < middle) == pytest.approx(part / outline.area, abs=0.02)
+    thin = shapely.LineString([(0, 0), (100, 100)]).buffer(0.01)
+    assert 0 < len(places_within(thin, 2000)) < 100  # of a hundred times as many at most
+    assert len(places_within(shapely.LineString([(0, 0), (1, 1)]))) == 0

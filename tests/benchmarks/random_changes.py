@@ -44,6 +44,8 @@ EQUIVALENT = {
     ("planes.py", "fit_circle", "a**2 / 4", "(a ** 2 * 4)"): "where a search begins",
     ("spacing/_search.py", "_select", "0", "(1)"): "another first pivot, the same order",
     ("boresight/adjustment.py", "Adjustment._fitted", "1", "(0)"): "how much is kept, not what",
+    ("lines/displacement.py", "_solved", "10", "(20)"): "when a search ends",
+    ("poles/common.py", "rows_near", "2", "(4)"): "more points are looked at in vain",
     ("studies/repeatability.py", "chart_scan", "64", "(128)"): "how much is kept, not what",
     ("test_field/drives.py", "figures", "1e-300", "(2e-300)"): "it keeps a logarithm finite",
     ("simulate/systems.py", "_crowded", "points - points.min(axis=0)",
