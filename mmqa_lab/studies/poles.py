@@ -303,7 +303,8 @@ def crowded(result, cloud):
     tree, surface = cKDTree(cloud.points[:, :2]), np.asarray(cloud["surface"])
     missed, hidden = outcomes(result)["miss"], 0
     for pole in missed.itertuples():
-        near = np.array(tree.query_ball_point([pole.x_m, pole.y_m], pole.diameter_base_m / 2 + 0.3))
+        near = tree.query_ball_point([pole.x_m, pole.y_m], pole.diameter_base_m / 2 + 0.3)
+        near = np.array(near, dtype=int)
         rise = cloud.points[near, 2] - pole.z_base_m
         near = near[(rise > 0.2) & (rise < pole.clear_height_m)]
         hidden += len(near) > 0 and (surface[near] != pole.surface).mean() > 0.15
