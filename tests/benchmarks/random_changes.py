@@ -62,6 +62,16 @@ EQUIVALENT = {
     ("simulate/scan.py", "_may_meet", "1e-9", "(2e-09)"): "it keeps a division finite",
     ("simulate/point_patterns.py", "point_pattern", "size * np.sqrt(0.5)",
      "(size / np.sqrt(0.5))"): "a wider field is drawn, of which the same square is cut",
+    ("simulate/point_patterns.py", "point_pattern", "5", "(10)"):
+        "a wider field is drawn, of which the same square is cut",
+    ("simulate/scenes.py", "_hierarchy", "2", "(4)"): "more room than nodes fill",
+    ("simulate/systems.py", "_crowded", "3", "(6)"): "smaller cubes do, too",
+    ("studies/fitness/tasks.py", "averaged", "uv + off", "(uv - off)"):
+        "the same ring from its other side",
+    ("studies/fitness/tasks.py", "end_mm", "xy[:, along] - middle", "(xy[:, along] + middle)"):
+        "the same parts in another order",
+    ("studies/fitness/tasks.py", "step_mm", "uv[:, 0] - side", "(uv[:, 0] + side)"):
+        "a step seen from its other side",
 }  # fmt: skip
 """By file, function, old and new text: why no answer changes."""
 
