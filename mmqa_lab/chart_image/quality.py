@@ -248,7 +248,8 @@ class ImageQuality(Shown):
             faces = part["resolved"].map({True: "C0", False: "none"})
             shape = {"marker": marker, "s": 18, "facecolors": faces, "edgecolors": "C0"}
             ax.scatter(part["width_px"], part["contrast"], label=label, **shape)
-        ax.axhline(SMALLEST_GAP, color="C1", ls="--", lw=0.8)
+        least = {"color": "C1", "ls": "--", "lw": 0.8, "label": "what each gap must reach"}
+        ax.axhline(SMALLEST_GAP, **least)
         ax.axvspan(0.3, SMALLEST_PAIR_PX, color="C1", alpha=0.12, lw=0)
         ax.set(xscale="log", xlabel="width of a line pair (pixels)", ylabel="contrast")
         ax.set_xticks([0.5, 1, 2, 5, 10, 20], ["0.5", "1", "2", "5", "10", "20"])
