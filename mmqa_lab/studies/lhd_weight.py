@@ -138,13 +138,14 @@ def score_directions(result, truth):
 
 
 def score_vector(result, truth):
-    """Return :func:`score`, the error of the displacement, and whether its ellipsoid covers it."""
+    """Return :func:`score`, the displacement, its error, and whether its ellipsoid covers it."""
     found, figures = result.displacement, score(result, truth)
     error = found.vector - truth.displacements.mean(axis=0)
     if np.isfinite(error).all():
         square = error @ np.linalg.solve(found.covariance, error)
         figures["inside"] = float(square <= chi2.ppf(0.95, 3))
         figures["vector_error_m"] = np.linalg.norm(error)
+        figures["vector_length_m"] = np.linalg.norm(found.vector)
     return figures
 
 
