@@ -13,6 +13,7 @@ from mmqa_lab import io
 from mmqa_lab.__main__ import main
 from mmqa_lab.chart_cloud import evaluate_cloud, inside_polygon
 from mmqa_lab.cloud import Cloud
+from mmqa_lab.io import outlines
 
 ZONE = pyproj.CRS(25832)
 CORNER = np.array([500_000.0, 5_400_000.0, 100.0])
@@ -176,3 +177,73 @@ def test_outlines_there_and_back(tmp_path, ending):
         assert np.array_equal(again[name], ring)
     with pytest.raises(ValueError, match=r"Invalid ending '\.csv'"):
         io.write_outlines(tmp_path / "o.csv", before)
+
+
+def test_an_outline_is_laid_onto_the_plane_of_most_points_inside(rng):
+    """A slanted floor with noise of a millimetre; of its points a quarter stands up to 2 m high."""
+    points = rng.uniform([4e5, 5e6, 0], [4e5 + 10, 5e6 + 10, 0.001], (2000, 3))
+    floor = lambda xy: 50 + 0.2 * (xy[:, 0] - 4e5) - 0.1 * (xy[:, 1] - 5e6)  # noqa: E731
+    points[:, 2] += floor(points)
+    points[:500, 2] += rng.uniform(0.1, 2, 500)
+    ring = np.array([[1.0, 1], [9, 1], [9, 8], [1, 8]]) + [4e5, 5e6]
+    aside = np.vstack([points, [[4e5 - 1, 5e6 + 2, 900]]])  # outside
+    for given in (
+        ring,
+        np.column_stack([ring, np.zeros(4)]),
+        np.column_stack([ring, [np.nan] * 4]),
+    ):
+        with pytest.warns(UserWarning, match="have no heights: laid onto the cloud"):
+            found = outlines._placed(given, None, None, aside, "p")
+        assert found[:, :2].tolist() == ring.tolist()
+        assert found[:, 2] == pytest.approx(floor(ring) + 0.0005, abs=5e-4)
+    level = np.column_stack([ring, np.zeros(4)])
+    low = points - [0, 0, points[:, 2].min() - 1]  # a cloud that begins a metre above zero
+    with pytest.warns(UserWarning, match="All heights of p are 0"):
+        found = outlines._placed(level, None, None, low, "p")
+    assert found.tolist() == level.tolist()
+    small = np.column_stack([[0.0, 900, 900], [0, 0, 900], [0, 0, 0]])
+    assert outlines._placed(small, None, None, points, "p").tolist() == small.tolist()
+    for n in (2, 3):
+        few = np.column_stack([ring.mean(axis=0) + np.eye(2)[[0, 1, 0]][:n] * [[1], [1], [2]][:n],
+                               np.ones(n)])  # fmt: skip
+        if n == 2:
+            with pytest.raises(ValueError, match="2 points inside it"):
+                outlines._placed(ring, None, None, few, "p")
+    with pytest.raises(ValueError, match="vertices without heights"):
+        outlines._placed(ring, None, None, None, "p")
+
+
+def test_narrow_outlines_are_degrees_and_others_are_transformed_in_plan():
+    zone = pyproj.CRS(25832)
+    globe = np.array([[8.5, 49.0, 3], [8.5004, 49.0, 4], [8.5004, 49.0003, 5]])
+    expected = pyproj.Transformer.from_crs(4326, zone, always_xy=True).transform(*globe.T[:2])
+    found = outlines._in_system(globe, None, zone, "p")
+    assert found[:, :2] == pytest.approx(np.transpose(expected), abs=1e-4)
+    assert found[:, 2].tolist() == [3, 4, 5]
+    assert outlines._in_system(globe, pyproj.CRS(4326), zone, "p") == pytest.approx(found)
+    for wide, degrees in ((0.0009, True), (0.0011, False)):
+        ring = np.array([[8.5, 49.0], [8.5 + wide, 49.0], [8.5, 49.0002]])
+        if degrees:
+            with pytest.raises(ValueError, match="it looks like degrees"):
+                outlines._in_system(ring, None, None, "p")
+        else:
+            assert outlines._in_system(ring, None, None, "p") is ring
+    far = globe + [172, 0, 0]  # more than 180
+    assert outlines._in_system(far, None, None, "p") is far
+    assert outlines._in_system(globe, zone, zone, "p") is globe
+    (low, high) = outlines.plan_extent("1,2,3; 5,2,3; 5,9,3")
+    assert (low.tolist(), high.tolist()) == ([1, 2], [5, 9])
+
+
+def test_names_that_repeat_are_numbered_and_rings_without_one_counted(tmp_path):
+    square = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 0]]
+    named = ["wall", None, "wall", "roof", "3"]
+    features = [
+        {"type": "Feature", "properties": {"name": one} if one else {},
+         "geometry": {"type": "Polygon", "coordinates": [square]}}
+        for one in named
+    ]  # fmt: skip
+    node = {"type": "FeatureCollection", "features": features}
+    (tmp_path / "o.geojson").write_text(json.dumps(node))
+    found = [name for name, _ in io.read_outlines(tmp_path / "o.geojson")]
+    assert found == ["wall", "2", "wall (2)", "roof", "3"]

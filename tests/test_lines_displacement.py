@@ -10,6 +10,7 @@ from mmqa_lab.lines import (
     directions,
     displacement,
     fit_displacement,
+    hausdorff,
     lengths,
     midpoints,
     pairing,
@@ -263,3 +264,66 @@ def test_what_is_left_of_a_path_is_a_vector_a_turn_and_drift_from_the_others(rng
         )[0]
         turned = mean[3] * np.cross([0, 0, 1.0], lines.place[n] - centre)
         assert found[n] == pytest.approx(path[n] + mean[:3] + turned + drift)
+
+
+def test_kinds_are_groups_of_pairs_and_the_interval_is_that_of_drawn_sources(rng):
+    """One pair, one test line with two, two with one, two with two, and lines without any."""
+    pairs = np.zeros((8, 8), bool)
+    pairs[0, 0] = pairs[1, 1] = pairs[1, 2] = pairs[2, 3] = pairs[3, 3] = True
+    pairs[4, 4] = pairs[4, 5] = pairs[5, 5] = True
+    lines = at_random(rng, 8)
+    source = np.nonzero(pairs)[0]
+    share = rng.uniform(1, 2, 8)
+    parts = SimpleNamespace(distance=lambda weight: weight * np.arange(1.0, 9))
+    side = SimpleNamespace(pairs=pairs, share=share, source=source, parts=parts)
+    side.olhd = lambda weight: share @ parts.distance(weight)
+    other = SimpleNamespace(olhd=lambda _: np.nan)
+    found = hausdorff.LHD(2.0, "all", side, other, lines, lines, ())
+    expected = {"one-to-null": 2 + 2, "one-to-one": 1, "one-to-multiple": 1}
+    expected |= {"multiple-to-one": 1, "multiple-to-multiple": 1}
+    assert found.kinds().to_dict() == expected
+    assert found.value == pytest.approx(2 * share @ np.arange(1, 9))
+    # by the same draws one by one: the mean of the pairs of drawn lines, and Student's t of six
+    drawn = np.random.default_rng(0).multinomial(6, np.full(6, 1 / 6), size=1000)
+    distances, means = 2 * np.arange(1.0, 9), []
+    for one in drawn:
+        weights = np.concatenate([np.full(np.sum(source == k), one[k]) for k in range(6)]) * share
+        means.append((weights * distances).sum() / weights.sum())
+    mean = (share * distances).sum() / share.sum()
+    wider = stats.t.ppf(0.975, 5) * np.sqrt(6 / 5) / 1.96
+    ends = [mean + wider * (np.quantile(means, q) - mean) for q in (0.025, 0.975)]
+    assert found._interval == pytest.approx(np.maximum(ends, [0, 0]) * share.sum())
+    single = SimpleNamespace(**vars(side) | {"source": np.zeros(8, int)})
+    assert np.isnan(hausdorff.LHD(2.0, "all", single, other, lines, lines, ())._interval).all()
+
+
+def test_the_parts_of_a_distance_are_steps_of_sums_of_squares(rng, uncompiled):
+    """Of true pairs with a common shift, and one false pair."""
+    uncompiled(segments, pairing)
+    model = at_random(rng, 12)
+    test = model + [0.2, -0.1, 0.05] + 0.02 * rng.normal(size=model.shape)
+    truth, pairs = np.eye(12, dtype=bool), np.eye(12, dtype=bool)
+    pairs[3, 4] = True
+    rows, columns = np.nonzero(pairs)
+    parts = SimpleNamespace(
+        perpendicular=rng.uniform(0.3, 0.5, 13), angle=rng.uniform(0, 0.2, 13),
+        parallel=rng.uniform(0, 0.3, 13),
+    )  # fmt: skip
+    share = rng.uniform(0.05, 0.1, 13)
+    side = SimpleNamespace(pairs=pairs, share=share, parts=parts, olhd=lambda _: 1.0)
+    none = SimpleNamespace(olhd=lambda _: np.nan)
+    found = hausdorff.LHD(1.5, "all", side, none, test, model, ())
+    shift = fit_displacement(test, model, truth)
+    lines = paired(test, model, rows, columns)
+    across = [np.linalg.norm(frame @ (shift.vector + np.radians(shift.turn_deg) * turned))
+              for frame, turned in zip(lines.frame, levers(lines.place - shift.centre),
+                                       strict=True)]  # fmt: skip
+    flat = parts.perpendicular
+    bent = np.hypot(flat, np.sqrt(1.5) * parts.angle)
+    whole = np.hypot(bent, parts.parallel)
+    right = share * (rows == columns)
+    means = [(right * one).sum() / right.sum() for one in (across, flat, bent, whole)]
+    means.append((share * whole).sum() / share.sum())
+    told = found.split(truth=truth)["value_m"].tolist()
+    assert told[:5] == pytest.approx([means[0], *np.diff(means)], abs=1e-6)
+    assert told[5] == pytest.approx(means[-1])

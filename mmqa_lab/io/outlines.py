@@ -280,7 +280,7 @@ def _laid(plan, points, what):
     refuse(len(inside) < 3, what, f"{len(inside)} points inside it", "over the cloud")
     sides = np.column_stack([inside[:, :2] - middle, np.ones(len(inside))])
     near = np.ones(len(inside), bool)
-    for _ in range(3):  # again without what stands on the surface
+    for _ in range(10):  # again without what stands on the surface
         slope = np.linalg.lstsq(sides[near], inside[near, 2], rcond=None)[0]
         off = np.abs(inside[:, 2] - sides @ slope)
         near = off <= FAR_OFF * np.median(off)
