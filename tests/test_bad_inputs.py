@@ -30,7 +30,7 @@ from mmqa_lab import (
     stats,
 )
 from mmqa_lab.__main__ import main
-from mmqa_lab._checks import check_count, check_number
+from mmqa_lab._checks import arrays, check_count, check_number
 from mmqa_lab.cloud import Cloud, cells_of
 from mmqa_lab.scan_pattern import mimic
 from mmqa_lab.simulate import cameras
@@ -344,3 +344,58 @@ def test_functions_say_what_they_refuse(call, part, folder, monkeypatch):
     with pytest.raises((ValueError, TypeError)) as error:
         call()
     assert part in str(error.value)
+
+
+def test_steps_of_a_type_are_those_of_its_largest_number():
+    assert arrays.type_step(np.float32([3.0, -1000.0])) == np.spacing(np.float32(1000))
+    assert arrays.type_step(np.float64([3.0, -1000.0])) == np.spacing(1000.0)
+    assert arrays.type_step([5, 6]) == arrays.type_step(np.empty(0)) == 0
+    for largest, fits in ((16_000.0, True), (16_500.0, False)):  # steps of 0.98 and 1.95 mm
+        points = np.float32([[largest, 0, 0]])
+        if fits:
+            assert arrays.check_points(points).dtype == np.float64
+        else:
+            with pytest.raises(ValueError, match=r"float32 in steps of 1\.95 mm"):
+                arrays.check_points(points)
+    for far, fits in ((0.99e15, True), (-0.99e15, True), (1.01e15, False), (-1.01e15, False)):
+        if fits:
+            assert arrays.check_points([[far, 0, 0]])[0, 0] == far
+        else:
+            with pytest.raises(ValueError, match=r"1\.01e\+15 in it"):
+                arrays.check_points([[far, 0, 0]])
+
+
+@pytest.mark.parametrize(
+    ("names", "found"),
+    [("id X y_m z[m]", "X y_m z[m]"), ("northing easting h", "easting northing h"),
+     ("a b c", ""), ("x y", "x y"), ("y x h", "x y"), ("x y x", "x y")],
+)  # fmt: skip
+def test_columns_of_coordinates_are_told_by_their_names(names, found):
+    assert arrays.coordinate_columns(names.split()) == found.split()
+
+
+def test_holes_of_a_polygon_follow_its_first_vertex():
+    square, hole = np.array([[0.0, 0, 0], [9, 0, 0], [9, 9, 0], [0, 9, 0]]), np.ones((4, 3)) * 2
+    hole += [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 0]]
+    whole = np.vstack([square, square[:1], hole, square[:1], hole + 3])
+    rings = arrays.polygon_rings(whole)
+    assert [rows.tolist() for rows in rings] == [[*range(4)], [*range(5, 9)], [*range(10, 14)]]
+    closed = np.vstack([square, square[:1]])
+    assert len(arrays.polygon_rings(closed)) == 1
+    short = np.vstack([square, square[:1], hole[:3]])  # three vertices are no closed hole
+    assert len(arrays.polygon_rings(short)) == 1
+
+
+def test_maps_are_said_from_half_a_percent_on():
+    """A Mercator map of a sphere stretches by 1 / cos of the latitude: half a percent at 5.7."""
+    sphere = pyproj.CRS("+proj=merc +R=6371000")
+    to = pyproj.Proj(sphere)
+    for latitude, told in ((5.6, False), (5.8, True)):
+        said = arrays.remark_on_map(sphere, to(8, latitude))
+        off = 100 * (1 / np.cos(np.radians(latitude)) - 1)
+        assert bool(said) == told
+        assert not told or f"are {off:.2g} % longer here" in said
+    scaled = pyproj.CRS("+proj=tmerc +lon_0=8 +k=0.994 +R=6371000")
+    assert "0.6 % shorter here" in arrays.remark_on_map(scaled, (0, 0))
+    assert arrays.remark_on_map(pyproj.CRS(4326), (8, 49)) == ""
+    assert arrays.remark_on_map(None, (8, 49)) == ""

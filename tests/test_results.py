@@ -1,11 +1,13 @@
 """What all results share: how they are asked for their intervals, and how they are shown."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from mmqa_lab import stats
-from mmqa_lab._results import Shown, about
+from mmqa_lab._results import Shown, about, digits, printed
 from mmqa_lab.boresight import Calibration
 from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.lines import lhd
@@ -86,3 +88,59 @@ def test_intervals_of_a_calibration_are_those_of_its_table():
 def test_residuals_are_no_vector_however_few_they_are(n):
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.1]])[:n]
     assert not [name for name in fit_plane(points).to_frame() if "residual" in name]
+
+
+@dataclass(frozen=True)
+class Made(Shown):
+    """A result of every kind of field."""
+
+    place: np.ndarray
+    size: np.ndarray
+    many: np.ndarray
+    residuals: np.ndarray
+    n: int
+    word: str
+
+    _metres = ("place", "half")
+    _derived = ("half",)
+
+    @property
+    def half(self):
+        """Half of n."""
+        return self.n / 2
+
+
+def test_a_result_is_a_row_of_its_numbers_with_units_by_their_axes():
+    made = Made(np.array([1.0, 2]), np.arange(3.0), np.arange(4.0), np.zeros(3), 5, "a")
+    (row,) = made.to_frame().to_dict("records")
+    expected = {"place_x_m": 1.0, "place_y_m": 2.0, "size_x": 0.0, "size_y": 1.0, "size_z": 2.0}
+    assert row == expected | {"n": 5, "word": "a", "half_m": 2.5}
+    assert "Made" in made._repr_html_()
+    assert made._repr_html_().count("<tr") == 1 + 8  # turned round, a line for each
+    assert len(made.intervals()) == 0
+    assert about("f", 2.0, 0.5, "m") == ("f", 2.0, 1.02, 2.98, "m")
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(999.96, "1000"), (1000.0, "1000"), (1000.4567, "1000.457"), (-1234.5, "-1234.5"),
+     (999_999_999.4, "999999999.4"), (1e9, "1e+09"), (0.99994, "0.9999"), (-0.0, "0"),
+     (1500.0, "1500"), (12.3456, "12.35")],
+)  # fmt: skip
+def test_numbers_have_four_digits_or_all_before_the_point(value, text):
+    assert digits(value) == text
+
+
+def test_tables_keep_millimetres_of_coordinates_and_words_as_they_are():
+    values = [0.123456, 1.0, 452_123.45678, 2e9, np.nan]
+    table = pd.DataFrame({"x_m": values, "f": values, "y_deg": values, "x": values})
+    table = table.assign(n=[*range(5)], word=[*"abcde"])
+    found = printed(table, missing="none")
+    assert found["x_m"].tolist() == ["0.1235", "1.000", "452123.457", "2e+09", "none"]
+    assert found["f"].tolist() == ["0.1235", "1", "452123.457", "2e+09", "none"]
+    assert found["x"].tolist()[:3] == ["0.1234560", "1.0000000", "452123.4567800"]
+    assert found["n"].tolist() == [*range(5)]
+    assert found["word"].tolist() == [*"abcde"]
+    negative = printed(pd.DataFrame({"x_m": [-0.5, -1.0, -20.12345]}))["x_m"].tolist()
+    assert negative == ["-0.5", "-1.000", "-20.123"]
+    assert len(printed(pd.DataFrame(index=[0, 1]))) == 2
