@@ -5,10 +5,17 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.stats import t
 
 from mmqa_lab.boresight import calibrate, corrected
 from mmqa_lab.boresight.adjustment import Adjustment, OnGround, OnPlanes, OnPoles, Shots
-from mmqa_lab.boresight.mounting import _shared, points_at_control, poles_in_common
+from mmqa_lab.boresight.mounting import (
+    _result,
+    _shared,
+    planes_in_common,
+    points_at_control,
+    poles_in_common,
+)
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.planes import fit_plane
 from mmqa_lab.rotations import rotations, turned
@@ -407,3 +414,134 @@ def test_planes_are_the_same_within_limits(kind, inside, outside, rng):
         else:
             with pytest.raises(ValueError, match="no planes in common within 1"):
                 _shared(points, place, group)
+
+
+def result_of(values, variance, students, *, std=(None, None), drives=(0, 0, 1, 1), ways=(1, 1)):
+    """A calibration from what an adjustment gives, and the errors of paths that it was given."""
+    asked = []
+    turns = np.zeros((4, 3, 3))
+    turns[:, 1, 1] = np.repeat(ways, 2)
+    kinds = [SimpleNamespace(shots=SimpleNamespace(rotation=turns, drive=np.array(drives)))]
+
+    def told(found, path_std):
+        asked.append((found, path_std))
+        return np.asarray(variance, float), np.asarray(students, float)
+
+    adjusted = SimpleNamespace(variance=told, kinds=kinds)
+    lever = np.zeros((len(values), 3))
+    return _result(adjusted, np.asarray(values, float), lever, *std), asked
+
+
+def test_a_calibration_has_degrees_and_metres_with_students_ends_and_remarks():
+    values = np.array([[0.01, -0.02, 0.03, 0.4, -0.5, 0.6], [0, 0, 0, 0.1, 0.2, 0]])
+    variance = np.array([1e-6, 4e-6, 9e-6, 1e-4, 4e-4, 9e-4, 0, 1e-6, 1e-6, 1e-4, 1e-4, 1e-4])
+    students = np.arange(3.0, 15)
+    found, ((same, path_std),) = result_of(values, variance, students, std=(0.02, (0.1, 0.2, 0.3)))
+    assert same is not None
+    assert path_std == pytest.approx([0.02] * 3 + np.radians([0.1, 0.2, 0.3]).tolist())
+    unit = np.tile([180 / np.pi] * 3 + [1] * 3, 2)
+    assert found.table["value"].to_numpy() == pytest.approx(values.ravel() * unit)
+    assert found.table["std"].to_numpy() == pytest.approx(np.sqrt(variance) * unit)
+    half = t.ppf(0.975, students) * np.sqrt(variance) * unit
+    half[6] = np.nan  # kept as assumed
+    for end, sign in (("low", -1), ("high", 1)):
+        expected = values.ravel() * unit + sign * half
+        assert found.table[end].to_numpy() == pytest.approx(expected, nan_ok=True)
+    assert found.table["head"].tolist() == [0] * 6 + [1] * 6
+    assert found.table["parameter"].tolist()[:6] == list(found.table["parameter"][6:])
+    assert found.values == pytest.approx((values.ravel() * unit).reshape(2, 6))
+    assert len(found.remarks) == 1
+    assert found.remarks[0].startswith("All drives run in one direction")
+    both, _ = result_of(values, variance, students, ways=(1, -1))
+    assert both.remarks == (
+        "Errors of the paths' positions and attitudes are not given: the intervals lack them.",
+    )
+    one, _ = result_of(values, variance, students, std=(0.0, None), ways=(1, -1))
+    assert one.remarks[0].startswith("Errors of the paths' attitudes are not given")
+
+
+@pytest.mark.parametrize("k", range(6))
+def test_values_and_deviations_beyond_ten_degrees_or_a_metre_are_no_estimate(k):
+    limit = np.radians(10) if k < 3 else 1.0
+    for share, open_ in ((0.99, False), (-0.99, False), (1.01, True), (-1.01, True)):
+        values, variance = np.zeros((1, 6)), np.full(6, 1e-8)
+        values[0, k] = share * limit
+        wide = variance.copy()
+        wide[k] = (share * limit) ** 2
+        for given in ((values, variance), (np.zeros((1, 6)), wide)):
+            if open_:
+                with pytest.raises(ValueError, match="stays open"):
+                    result_of(*given, np.full(6, 9.0))
+            else:
+                result_of(*given, np.full(6, 9.0))
+
+
+@pytest.mark.parametrize(
+    ("kind", "inside", "outside"),
+    [("low", 0.41, 0.39), ("high", 5.9, 6.1), ("gate", 0.049, 0.051),
+     ("few", 15, 14), ("groups", 2, 1)],
+)  # fmt: skip
+def test_poles_in_common_are_taken_within_limits(kind, inside, outside):
+    """Rings of 60 points about a pole of 20 cm from 1 to 3 m; what differs is one ring of 15."""
+    turn = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+    ring = 0.1 * np.column_stack([np.cos(turn), np.sin(turn)])
+    for value, taken in ((inside, True), (outside, False)):
+        points = [np.column_stack([ring, np.linspace(1, 3, 60)]) for _ in range(2)]
+        poles = pd.DataFrame({"x_m": [105.0], "y_m": 200.0, "z_m": 10.0, "diameter_m": 0.2})
+        few = points[1][::4].copy()
+        if kind in ("low", "high"):
+            few[7, 2] = value
+        if kind == "gate":
+            few = np.vstack([few, few[3] + [*(value * ring[12] / 0.1), 0]])
+        if kind == "few":
+            few = points[1][:: 60 // value][:value]
+        if kind == "groups":
+            few = points[1][: 60 * (value - 1)]
+        placed = np.vstack([points[0], few]) + [5, 0, 10]
+        group = np.repeat([3, 7], [60, len(few)])
+        found = poles_in_common(placed, group, poles, np.array([100.0, 200, 0]))
+        if kind in ("few", "groups", "low", "high") and not taken:
+            assert found == []  # fewer than fifteen, or no second group
+            continue
+        ((index, (ways, radius)),) = found
+        n = 60 + (15 + taken if kind == "gate" else len(few))
+        assert (len(index), radius) == (n, 0.1)
+        off = placed[index, :2] - [5, 0]
+        assert ways == pytest.approx(off / np.hypot(*off.T)[:, None], abs=0.02)
+    free = poles.drop(columns="diameter_m")
+    both = np.vstack([points[0], points[0]]) + [5, 0, 10]
+    ((index, (_, radius)),) = poles_in_common(
+        both, np.repeat([0, 1], 60), free, np.array([100.0, 200, 0])
+    )
+    assert (len(index), radius) == (120, None)
+
+
+def test_points_at_control_are_told_by_thirty_centimetres_and_fifteen():
+    control = np.array([[0.0, 0, 5], [10, 0, 7]])
+    for n, known in ((15, True), (14, False)):
+        ring = np.column_stack([0.29 * np.cos(np.arange(n)), 0.29 * np.sin(np.arange(n))])
+        near = np.column_stack([ring, 5 + 0.29 * np.where(np.arange(n) % 2, 1, -1)])
+        others = [[0.31, 0, 5], [0, 0, 5.31], [0, 0, 4.69], [10, 0.2, 7]]
+        found = points_at_control(np.vstack([near, others]), control)
+        assert bool(found) == known
+        if known:
+            ((index, height),) = found
+            assert (sorted(index), height) == ([*range(15)], 5)
+
+
+def test_planes_in_common_lie_in_balls_about_the_centres_of_cubes(rng):
+    """Two groups on a floor of 4 m: balls of half a metre, their centres 70 cm apart or more."""
+    n = 6000
+    placed = np.column_stack([rng.uniform(0, 4, (2 * n, 2)), 0.002 * rng.normal(size=2 * n)])
+    group = np.repeat([0, 1], n)
+    found = planes_in_common(placed, group, 500, np.random.default_rng(1))
+    middles = np.array([placed[index].mean(axis=0) for index, _ in found])
+    apart = np.abs(middles[:, None] - middles).max(axis=2) + 9 * np.eye(len(found))
+    assert apart.min() > 0.6
+    assert 10 < len(found) <= 25
+    for index, known in found:
+        assert known is None
+        away = np.linalg.norm(placed[index] - placed[index].mean(axis=0), axis=1)
+        assert 0.35 < away.max() < 0.6
+        assert np.bincount(group[index]).tolist() == [100, 100]
+    assert len(planes_in_common(placed, group, 3, np.random.default_rng(1))) == 3
