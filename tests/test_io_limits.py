@@ -401,3 +401,23 @@ def test_sbet_has_seventeen_numbers_a_record_in_radians(tmp_path):
         (tmp_path / "a.out").write_bytes(bytes(left))
         with pytest.raises(ValueError, match=re.escape(f"{left} bytes. Must be SBET of 136")):
             io.trajectories.path_table(tmp_path / "a.out")
+
+
+@pytest.mark.parametrize("size", [4, 24])
+def test_a_las_file_shorter_than_its_version_is_cut_short(size, tmp_path):
+    (tmp_path / "a.las").write_bytes(b"LASF".ljust(size, b"\0"))
+    with pytest.raises(ValueError, match="damaged, cut short"):
+        io.read_cloud(tmp_path / "a.las")
+    (tmp_path / "a.las").write_bytes(b"LASF".ljust(24, b"\0") + b"\1\5")
+    with pytest.raises(ValueError, match=r"LAS 1\.5\. Must be LAS 1\.0 to 1\.4"):
+        io.read_cloud(tmp_path / "a.las")
+
+
+def test_a_path_with_both_plan_and_globe_is_in_plan(tmp_path):
+    table = path_of()[["easting_m", "northing_m", "height_m"]].assign(lat=49.0, lon=8.5)
+    table.to_csv(tmp_path / "p.csv", index=False)
+    with pytest.raises(ValueError, match=r"with columns easting_m.* Must have time"):
+        io.read_trajectory(tmp_path / "p.csv")
+    table.assign(time=np.arange(30) / 2).to_csv(tmp_path / "p.csv", index=False)
+    found = said(lambda: io.read_trajectory(tmp_path / "p.csv"))[0]
+    assert found["easting_m"].tolist() == table["easting_m"].tolist()
