@@ -1,15 +1,18 @@
 """Rows of texts and of binary clouds: how words, names and counts are told, from both sides."""
 
 import struct
+import threading
+import time
 import warnings
 
+import laspy
 import numpy as np
 import pandas as pd
 import pytest
 import rasterio
 
 from mmqa_lab import io
-from mmqa_lab.io import forms, rasters, tables
+from mmqa_lab.io import files, forms, rasters, tables
 
 
 def said(call):
@@ -347,3 +350,83 @@ def test_letters_of_a_text_are_told_by_its_first_bytes(tmp_path):
         assert list(found)[:3] == ["x", "y", "z"], letters
         assert letters == "cp1252" or list(found)[3] == "größe", letters
         assert found.to_numpy().tolist() == [[1, 2, 3, 4]]
+
+
+def test_letters_are_told_by_the_places_of_zeros():
+    """More zeros than a quarter of one half of the bytes are the empty bytes of UTF-16."""
+    for zeros, letters in ((10, "utf-8"), (11, "utf-16-le")):
+        head = bytearray(b"a" * 80)
+        head[1 : 2 * zeros : 2] = bytes(zeros)
+        assert files._letters(bytes(head)) == letters
+        assert files._letters(b"a" + bytes(head[:-1])) == letters.replace("le", "be")
+    assert files._letters(bytes(80)) == "utf-8"  # of all alike nothing is told
+    assert files._letters("ä".encode() * 40) == "utf-8"
+    assert files._letters(("ä" * 40).encode()[:-1]) == "utf-8"  # cut within a letter
+    assert files._letters("ä".encode("cp1252") * 3 + b"a") == "cp1252"
+
+
+def test_a_lock_that_was_left_behind_is_taken_over_and_another_waited_for(tmp_path):
+    file, lock = tmp_path / "a" / "t.csv", tmp_path / "a" / "t.csv.lock"
+    with files.alone(file):
+        assert lock.exists()
+        begun = time.monotonic()
+        with files.alone(file, seconds=0.1):  # as if the first had died
+            assert time.monotonic() - begun >= 0.1
+    assert not lock.exists()
+    with files.alone(file):
+        waiting = threading.Thread(target=lambda: files.alone(file).__enter__())
+        waiting.start()
+        waiting.join(0.1)
+        assert waiting.is_alive()
+    waiting.join(5)
+    assert not waiting.is_alive()
+
+
+def test_a_folder_of_a_run_is_new_empty_or_marked(tmp_path):
+    new = tmp_path / "deep" / "new"
+    with files.own_folder(new) as folder:
+        assert (folder / files.MARK).stat().st_size > 0
+        with pytest.raises(ValueError, match="another run writes into it"), files.own_folder(new):
+            pass
+    assert not new.exists()  # it was made for nothing
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    with files.own_folder(empty):
+        pass
+    assert [one.name for one in empty.iterdir()] == [files.MARK]
+    size = (empty / files.MARK).stat().st_size
+    (empty / "f.csv").write_text("1")
+    with files.own_folder(empty):
+        pass
+    assert (empty / files.MARK).stat().st_size == size  # is marked once
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "mine.txt").write_text("1")
+    with pytest.raises(ValueError, match=r"mine\.txt in it is not from mmqa"):
+        files.own_folder(other).__enter__()
+    with files.own_folder(other, ours=True):
+        assert (other / files.MARK).is_file()
+    assert (other / "mine.txt").read_text() == "1"
+
+
+def test_pieces_of_a_cloud_count_what_is_dropped_over_all_of_them(tmp_path, rng):
+    """Seven of 250 points in pieces of 100 are withheld, and thirteen overlap, one of them both."""
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales = np.full(3, 0.001)
+    record = laspy.LasData(header)
+    record.xyz = rng.random((250, 3)).round(3) + 5
+    withheld, overlap = np.zeros(250, int), np.zeros(250, int)
+    withheld[[0, 50, 99, 100, 199, 200, 249]] = 1
+    overlap[[249, *range(130, 142)]] = 1
+    record.withheld, record.overlap, record.user_data = withheld, overlap, np.arange(250) % 200
+    record.write(tmp_path / "a.laz")
+    parts, told = said(lambda: list(io.iterate_cloud(tmp_path / "a.laz", chunk=100)))
+    assert [len(part) for part in parts] == [97, 98, 48]
+    assert f"Dropped 7 of 250 points of {tmp_path / 'a.laz'} that are marked as withheld" in told
+    assert f"Counted 12 of 250 points of {tmp_path / 'a.laz'} that are marked as overlap" in told
+    kept = np.concatenate([part["user_data"] for part in parts])
+    assert np.array_equal(kept, (np.arange(250) % 200)[withheld == 0])
+    one = said(lambda: list(io.iterate_cloud(tmp_path / "a.laz", columns=["user_data"])))[0]
+    assert [*one[0].columns] == ["user_data"]
+    with pytest.raises(ValueError, match="no scans in it"):
+        list(io.iterate_cloud(tmp_path / "a.laz", scan=0))
