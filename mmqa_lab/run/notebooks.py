@@ -59,8 +59,11 @@ TASKS, SUPPORTED = "fitness/tasks_by_figures.csv", "fitness/supported.csv"
 # What the README advises, in the folder of results.
 ADVICE = "fitness/advice.csv"
 
-# The first figure of the README, in the folder of results.
-KEY_FIGURE = "fitness/six_clouds.png"
+# The figures of the README, in the folder of results, their names there and widths.
+FRONT = {
+    "fitness/six_clouds.png": ("key_figure.png", WIDTH_PX),
+    "fitness/answer.png": ("metrics_by_tasks.png", 600),
+}
 
 
 def run_study(study, folder, *, size="full"):
@@ -195,18 +198,26 @@ def store(notebooks, folder, studies):
             write_atomically(place, pd.read_csv(folder / name))
     if (folder / ADVICE).is_file():
         _renew_advice(notebooks.parent / "README.md", pd.read_csv(folder / ADVICE))
-    if (folder / KEY_FIGURE).is_file():
-        _store_figure(folder / KEY_FIGURE, notebooks / "key_figure.png", 1000)
+    for name, (shown, width) in FRONT.items():
+        if (folder / name).is_file():
+            _store_figure(folder / name, notebooks / shown, width)
     rows = collect(folder)
     known = notebooks / LEDGER
     if known.is_file() and set(rows["study"]) >= set(pd.read_csv(known)["study"].dropna()):
         write_atomically(known, rows)
         counts = summary(rows)
         _store_ledger(counts, notebooks / "ledger.png")
-        _renew_readme(notebooks.parent / "README.md", {}, counts.loc["all"])
+        _renew_readme(notebooks.parent / "README.md", {}, counts.loc["all"], usual_width(rows))
 
 
-def _renew_readme(readme, answers, counts=None):
+def usual_width(ledger):
+    """The median width of our ranges in which printed results lie, as a share of the result."""
+    agree = ledger[ledger["decides"] & (ledger["role"] == "result")]
+    agree = agree[agree["verdict"] == "consistent"]
+    return ((agree["ours_high"] - agree["ours_low"]) / agree["value"].abs()).median()
+
+
+def _renew_readme(readme, answers, counts=None, width=None):
     """Write short answers into the README's table, by the notebooks of its rows, and counts."""
     if not readme.is_file():
         return
@@ -214,13 +225,11 @@ def _renew_readme(readme, answers, counts=None):
     for stem, (short, _) in answers.items():
         text = re.sub(rf"(_?\d\d_{stem}\.ipynb\) \| )[^|\n]*( \|)", rf"\g<1>{short}\g<2>", text)
     if counts is not None:
-        said = f"print {counts.sum()} results. Ours equal {counts['reproduced']} of them to the "
-        said += f"printed digits and agree with {counts['consistent']} more; "
-        said += f"{counts['differs']} differ.\n{counts['fitted']} served to fit a simulation, and "
-        said += f"{counts['not comparable']} cannot be compared"
-        text = re.sub(
-            r"print \d+ results\. Ours[^;]*;[^,]*, and \d+ cannot be compared", said, text
-        )
+        said = f"print {counts.sum()} results. Ours equal {counts['reproduced']} to the printed "
+        said += f"digits. {counts['consistent']} more lie within our ranges, in the median "
+        said += f"{100 * width:.0f} % wide; {counts['differs']} differ.\n{counts['fitted']} served "
+        said += f"to fit, and {counts['not comparable']} cannot be compared"
+        text = re.sub(r"(?s)print \d+ results\. Ours.*\d+ cannot be compared", said, text)
     write_atomically(readme, text)
 
 
@@ -240,9 +249,10 @@ def _renew_advice(readme, found):
         rows.append(f"|{row.words}|{limit}|{nine}|{score}|{row.limits}|")
     text = readme.read_text(encoding="utf-8")
     text = re.sub(r"\|task\|ask for(?:[^\n]+\n)+", "\n".join([*rows, ""]), text)
-    for word, lost in (("chooses", "nested"), ("elsewhere", "elsewhere")):
-        most = (found["balanced"] - found[lost]).max()
-        text = re.sub(rf"({word}[^.]* at most )\d\.\d+", rf"\g<1>{most:.2f}", text)
+    lost = {"chooses": found["balanced"] - found["nested"]}
+    lost["elsewhere"] = found["beside"] - found["elsewhere"]
+    for word, less in lost.items():
+        text = re.sub(rf"({word}[^.]* at most )\d\.\d+", rf"\g<1>{less.max():.2f}", text)
     write_atomically(readme, text)
 
 

@@ -102,7 +102,8 @@ def _bring(source, results):
             write_atomically(kept, brought)
         if not kept.is_file():
             what = f"Invalid paper {source}: {name} of the study {study} is not there. Must be in "
-            raise FileNotFoundError(f"{what}{results / study}, as after mmqa studies {study}.")
+            what += f"{results / study}, as after mmqa studies {study} --full."
+            raise FileNotFoundError(what)
 
 
 def new_paper(

@@ -247,7 +247,8 @@ def advice(table, real):
     Returns
     -------
     DataFrame
-        The rows of ``pooled`` with ``worst``, how much the best of a group has more at most;
+        The rows of ``pooled`` with ``worst``, how much the best of a group has more at most, NaN
+        where no group is judged;
         ``near_in``, the groups in which that is less than ``NEAR``; ``limits``, the best limit
         within each group, as text, where it is shown to be better than a coin;
         ``contradicted_by``; ``advised``, ``yes`` unless a metric defines the task, a real cloud
@@ -263,12 +264,12 @@ def advice(table, real):
     found = pooled[pooled["behind"] < NEAR].join(worst, on=keys).join(against, on=keys)
     told = groups.assign(limit=groups["limit"].where(groups["low"] > COIN))
     within = told.pivot(index=keys, columns="scanners", values="limit")
-    within = within[groups["scanners"].unique()].map("{:.2g}".format)
+    within = within[groups["scanners"].unique()].map(lambda one: f"{float(f'{one:.2g}'):g}")
     within = within.replace("nan", "none").agg(", ".join, axis=1)
     found = found.join(close.rename("near_in"), on=keys).join(within.rename("limits"), on=keys)
     nothing = dict.fromkeys(("contradicted_by", "near_in", "limits"), "none")
-    nothing |= {"worst": 1.0, "sets": 0}
-    found = found.fillna(nothing).sort_values(["sets", "worst", "behind"], kind="stable")
+    found = found.fillna(nothing | {"sets": 0})
+    found = found.sort_values(["sets", "worst", "behind"], kind="stable")
     found = found.drop_duplicates("task").sort_index()
     known = found["task"].isin(FREE) & (found["low"] > LEAST_ADVISED)
     known &= (found["near_in"] != "none") & (found["contradicted_by"] == "none")
