@@ -61,8 +61,8 @@ ADVICE = "fitness/advice.csv"
 
 # The figures of the README, in the folder of results, their names there and widths.
 FRONT = {
-    "fitness/six_clouds.png": ("key_figure.png", WIDTH_PX),
-    "fitness/answer.png": ("metrics_by_tasks.png", 600),
+    "fitness/six_clouds.png": ("key_figure.png", 760),
+    "fitness/answer.png": ("metrics_by_tasks.png", 500),
 }
 
 
