@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rendered import step_seen_by_pixel
 from scipy.integrate import quad
 from scipy.special import ndtr
 
@@ -12,7 +13,13 @@ from mmqa_lab.charts import Bar, Layout
 from mmqa_lab.mtf.transfer import spread_edge
 from mmqa_lab.simulate import cameras
 from mmqa_lab.simulate.cameras import ChartMap, Optics, PanoramaCamera, Sensor, chart_view
-from mmqa_lab.simulate.targets import PointSpread, expose, render_edge, render_star
+from mmqa_lab.simulate.targets import (
+    PointSpread,
+    expose,
+    render_bars,
+    render_edge,
+    render_star,
+)
 from mmqa_lab.simulate.targets.resolution import _render
 
 BAR = Layout("bar", 100, 60, (Bar("a", 30, 20, 40, 20),))
@@ -229,3 +236,23 @@ def test_exposed_light_has_its_gain_its_noise_and_its_bits():
     assert (bright == 1023).all()
     assert expose(0 * light - 9, gain=10.0, seed=3).min() == 0
     assert charts.imaging_chart().width == 1000
+
+
+@pytest.mark.parametrize("bars", [1, 4, 5])
+def test_rendered_bars_have_their_number_width_length_and_place(bars):
+    image = render_bars((48, 60), PointSpread(0.5), period_px=7.0, bars=bars, offset_px=1.7,
+                        low=0.0, high=1.0)  # fmt: skip
+    x, y = np.arange(60) - 29.5, np.arange(48) - 23.5
+
+    def seen(at, low, high):
+        """An interval behind a Gaussian and a pixel, along one axis."""
+        ends = [step_seen_by_pixel(at - end, 0.5) for end in (low, high)]
+        return ends[0] - ends[1]
+
+    across = sum(
+        seen(x, middle - 1.75, middle + 1.75)
+        for middle in 1.7 + 7.0 * (np.arange(bars) - (bars - 1) / 2)
+    )
+    expected = np.outer(seen(y, -8.75, 8.75), across)
+    assert np.abs(image - expected).max() < 0.02  # corners are drawn a little rounder
+    assert image.sum() == pytest.approx(bars * 3.5 * 17.5, rel=3e-3)
