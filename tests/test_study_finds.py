@@ -169,3 +169,20 @@ def test_clicks_lead_to_the_next_point_and_along_both_axes_to_the_next_profile(m
     assert mimic._figures(0.001, 0.002, 0.003, 4.0) == dict(
         zip(mimic.FIGURES, (1, 2, 3, 4), strict=True)
     )
+
+
+@pytest.mark.parametrize(("density", "low", "high"), [(18_000, 12, 30), (1200, 2, 4)])
+def test_speeds_and_incidences_beyond_what_is_driven_are_drawn_again(
+    density, low, high, monkeypatch
+):
+    seen = []
+
+    def lattice(*_):
+        seen.append(69.9 if len(seen) % 2 else 70.1)
+        return SimpleNamespace(density_per_m2=density, incidence_deg=seen[-1])
+
+    monkeypatch.setattr(mimic, "scan_lattice", lattice)
+    speeds = mimic.surfaces(300, seed=1)["speed_m_s"]
+    assert low <= speeds.min() < 1.03 * low  # of 300 to 1500 points per square metre
+    assert 0.97 * high < speeds.max() <= high
+    assert len(seen) >= 600

@@ -312,3 +312,53 @@ def test_the_rise_of_an_edge_gives_its_gaussian(rng):
     assert table.loc["a"].tolist() == pytest.approx([-4, 1 + 0.95 * 8, 2])
     errors = image_resolution.edge_errors({"mtf50": 0.22, "x": 1}, {"mtf50": 0.2})
     assert errors == pytest.approx({"mtf50_error_percent": 10})
+
+
+def test_a_mounting_is_scored_by_its_largest_errors_and_what_its_clouds_show(monkeypatch):
+    asked = []
+
+    def corrected(cloud, path, *, lever_arms_m, values):
+        asked.append((cloud, path, lever_arms_m))
+        return SimpleNamespace(points=np.full((2, 3), float(len(asked))))
+
+    module = SimpleNamespace(
+        height_differences=lambda points, control, radius: (points, control, radius),
+        height_accuracy=lambda given: {"std_mm": [1.0, given[0].sum() + given[2]]},
+        plan_differences=lambda points, poles: pd.DataFrame({"x": points[:1, 0], "of": poles}),
+        plan_accuracy=lambda rows: {"rmse_mm": [0, rows["x"].sum()], "n": [0, len(rows)]},
+    )
+    monkeypatch.setattr(test_field, "corrected", corrected)
+    monkeypatch.setattr(test_field, "test_field", module)
+    truth = np.arange(12.0).reshape(2, 6)
+    errors = np.array([[0.1, -0.4, 0.2, 0.01, 0.02, -0.03], [0.0, 0.3, 0.1, 0.05, -0.06, 0.01]])
+    survey = SimpleNamespace(true_values=truth, lever_arms_m="arms", control="control", poles="all",
+                             drives=[("one", "there"), ("two", "back")])  # fmt: skip
+    found = test_field.score(truth + errors, survey)
+    assert asked == [("one", "there", "arms"), ("two", "back", "arms")]
+    assert found["angle_deg"] == pytest.approx(0.4)
+    assert found["arm_mm"] == pytest.approx(60)
+    assert found["height_std_mm"] == 6 * 1 + 6 * 2 + 0.5  # of both clouds, within half a metre
+    assert (found["pole_rmse_mm"], found["poles"]) == (3, 2)
+    assert not test_field.as_installed(survey).any()
+
+
+def test_surveys_of_two_drives_have_the_truth_of_their_heads(monkeypatch):
+    asked = []
+    street = SimpleNamespace(poles="poles", ground=lambda *, spacing_m, seed: (spacing_m, seed))
+
+    def drive(*given, **known):
+        asked.append((given, known))
+        return "a", "b"
+
+    monkeypatch.setattr(test_field, "drive_test_field", drive)
+    found = test_field.two_drives(street, navigation="good", pulses_per_s=5.0, seed=8)
+    (((of, tested), known),) = asked
+    assert of is street
+    assert tested.navigation is test_field.GOOD_NAVIGATION
+    assert known == {"seed": 8, "pulses_per_s": 5.0}
+    assert (found.drives, found.poles, found.control) == (("a", "b"), "poles", (2.0, 8))
+    assert found.true_values[:, :3] == pytest.approx(np.array(test_field.BORESIGHT_DEG))
+    assert found.true_values[:, 3:] == pytest.approx(-np.array(test_field.LEVER_ARM_ERROR_M))
+    assert found.lever_arms_m == pytest.approx(tested.assumed_lever_arms)
+    assert test_field.two_drives(street, seed=8, drives="there").drives == "there"
+    assert len(asked) == 1
