@@ -280,3 +280,72 @@ def test_point_chart_is_random_with_two_plain_squares():
     border[5:-5, 5:-5] = False
     assert (image[border] == 1).all()
     assert charts.point_chart(seed=4) != layout
+
+
+def test_elements_lie_within_the_chart_and_share_at_most_a_hair():
+    whole = Bar("whole", 0, 0, 20, 10)
+    assert Layout("x", 20, 10, (whole,))["whole"] is whole
+    for x, y, wide, high in ((-0.01, 0, 5, 5), (0, -0.01, 5, 5), (15.01, 0, 5, 5), (0, 5.01, 5, 5)):
+        with pytest.raises(ValueError, match="element 'a'"):
+            Layout("x", 20, 10, (Bar("a", x, y, wide, high),))
+    for share, fits in ((5e-7, True), (5e-6, False)):
+        pair = Bar("a", 0, 0, 5, 5), Bar("b", 5 - share, 0, 5, 5)
+        above = Bar("a", 0, 0, 5, 5), Bar("b", 0, 5 - share, 5, 5)
+        for two in (pair, above):
+            if fits:
+                assert len(Layout("x", 20, 20, two).elements) == 2
+            else:
+                with pytest.raises(ValueError, match="one over the other"):
+                    Layout("x", 20, 20, two)
+    pairs = charts.LinePairs("p", 0, 0, 4.0, "h", repeats=2, length=6.0)  # white from 2 to 4
+    assert Layout("x", 20, 20, (pairs, Bar("b", 2, 1, 2, 3)))
+    for x, wide in ((2, 2.1), (1.9, 2), (4.1, 1)):
+        with pytest.raises(ValueError, match="one over the other"):
+            Layout("x", 20, 20, (pairs, Bar("b", x, 1, wide, 3)))
+    with pytest.raises(ValueError, match="a name repeats"):
+        Layout("x", 20, 20, (whole, Bar("whole", 0, 12, 2, 2)))
+    last = charts.Marker("m", 2, 2, 9, "DICT_4X4_50", 49)
+    assert Layout("x", 20, 20, (last,)).of_kind(charts.Marker) == [last]
+
+
+def test_a_chart_that_a_printer_made_smaller_is_smaller_everywhere():
+    made = CHART.printed(796.0)
+    factor = 796 / 800
+    assert (made.width, made.height) == pytest.approx((1000 * factor, 1000 * factor))
+    for one, other in zip(CHART.elements, made.elements, strict=True):
+        assert other.corners() == pytest.approx(factor * one.corners())
+        assert other.ground == one.ground
+    assert made["pairs_h_40"].pair == pytest.approx(40 * factor)
+    assert made["text_45_1"].cap == pytest.approx(CHART["text_45_1"].cap * factor)
+
+
+def test_srgb_is_coded_by_its_published_curve():
+    values = np.array([-0.1, 0.0, 0.002, 0.0031308, 0.0032, 0.2140411, 0.5, 1.0, 1.3])
+    linear_part = 12.92 * values[1:4]
+    powers = 1.055 * np.clip(values[4:], 0, 1) ** (1 / 2.4) - 0.055
+    assert charts.encode(values, "srgb") == pytest.approx([0, *linear_part, *powers])
+    assert charts.encode(0.2140411, "srgb") == pytest.approx(0.5, abs=1e-6)
+    codes = np.array([0.0, 0.03, 0.0404, 0.0406, 0.5, 1.0])
+    expected = np.where(codes <= 0.04045, codes / 12.92, ((codes + 0.055) / 1.055) ** 2.4)
+    assert charts.decode(codes, "srgb") == pytest.approx(expected)
+    assert charts.decode(np.uint8([0, 1]), "srgb").tolist() == [0, 1]
+
+
+def test_shapes_join_neighbours_of_one_tone_and_leave_out_white():
+    from mmqa_lab.charts import draw
+    from mmqa_lab.charts.elements import Cells
+
+    cells = Cells("c", 10.0, 20.0, 30.0, ((0.0, 0.0, 1.0), (1.0, 0.5, 1.0), (0.0, 1.0, 1.0)))
+    shapes = draw._shapes(cells)
+    assert set(shapes) == {0.0, 0.5}
+    ((low, high),) = [shapes[0.5].get_extents().get_points()]
+    assert (*low, *high) == pytest.approx((20, 30, 30, 40))
+    assert len([code for code in shapes[0.0].codes if code == 1]) == 2  # two and one cell
+    assert shapes[0.0].get_extents().get_points() == pytest.approx(np.array([[10, 20], [30, 50]]))
+    bar = draw._shapes(Bar("b", 1, 2, 3, 4, 0.3))
+    assert bar[0.3].get_extents().get_points() == pytest.approx(np.array([[1, 2], [4, 6]]))
+    dark = draw._shapes(charts.LinePairs("p", 0, 0, 4.0, "h", repeats=1, length=6.0, ground=0.2))
+    assert set(dark) == {0.0, 1.0}
+    where, shares = draw._overlaps(np.array([0.3, 1.0, 2.6]), 0.5)
+    assert (where.start, where.stop) == (0, 6)
+    assert shares == pytest.approx(np.array([[0.4, 1, 0, 0, 0, 0], [0, 0, 1, 1, 1, 0.2]]))

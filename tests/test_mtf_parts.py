@@ -382,3 +382,16 @@ def test_place_of_bars_has_their_middle_and_their_direction(turn):
     assert pixels.mean(axis=0) == pytest.approx([40, 25])
     assert pixels[1] - pixels[0] == pytest.approx(wide * across)
     assert pixels[2] - pixels[0] == pytest.approx(long * np.array([across[1], -across[0]]))
+
+
+def test_a_line_forgets_what_lies_farther_than_six_pixels_from_it():
+    y, x = np.mgrid[:70, :60].astype(float)
+    across = (x - 29.5) * np.cos(0.12) + (y - 34.5) * np.sin(0.12) - 0.7
+    image = spread_edge(across, 0.8, 0.12)
+    spot = 0.5 * np.exp(-(((across - 10) / 1.2) ** 2) / 2) * (y > 40)  # steep on both of its sides
+    plain, _, angle = edges._line(image)
+    beside, _, turned = edges._line(image + spot)
+    near = np.abs(across.ravel()) < 4
+    assert np.abs(plain - across.ravel())[near].max() < 0.05
+    assert np.abs(beside - plain)[near].max() < 0.03
+    assert abs(turned - angle) < 1e-3

@@ -330,13 +330,13 @@ def test_a_mounting_is_scored_by_its_largest_errors_and_what_its_clouds_show(mon
     monkeypatch.setattr(test_field, "corrected", corrected)
     monkeypatch.setattr(test_field, "test_field", module)
     truth = np.arange(12.0).reshape(2, 6)
-    errors = np.array([[0.1, -0.4, 0.2, 0.01, 0.02, -0.03], [0.0, 0.3, 0.1, 0.05, -0.06, 0.01]])
+    errors = np.array([[0.1, -0.4, 0.2, 0.01, 0.02, -0.03], [0.0, 0.3, 0.1, 0.05, -0.6, 0.01]])
     survey = SimpleNamespace(true_values=truth, lever_arms_m="arms", control="control", poles="all",
                              drives=[("one", "there"), ("two", "back")])  # fmt: skip
     found = test_field.score(truth + errors, survey)
     assert asked == [("one", "there", "arms"), ("two", "back", "arms")]
     assert found["angle_deg"] == pytest.approx(0.4)
-    assert found["arm_mm"] == pytest.approx(60)
+    assert found["arm_mm"] == pytest.approx(600)
     assert found["height_std_mm"] == 6 * 1 + 6 * 2 + 0.5  # of both clouds, within half a metre
     assert (found["pole_rmse_mm"], found["poles"]) == (3, 2)
     assert not test_field.as_installed(survey).any()
