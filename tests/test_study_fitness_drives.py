@@ -159,6 +159,8 @@ def test_matched_points_have_holes_a_density_and_errors_in_common():
     case = CASE | {"pulse_rate_hz": 3000.0, "noise_mm": 20.0, "height_m": 0.0}
     middles, axes = {"board": np.array([10.0, 0, 0])}, {"board": module._axes(0.0)}
     empty, counts, near, far = [], [], [], []
+    first, _ = module._matched(case, wall, axes, middles, np.random.default_rng(99))
+    assert len(first) == pytest.approx(25_000, rel=0.1)
     for seed in range(12):
         points, hit = module._matched(case, wall, axes, middles, np.random.default_rng(seed))
         assert not hit.any()

@@ -64,6 +64,8 @@ EQUIVALENT = {
      "(size / np.sqrt(0.5))"): "a wider field is drawn, of which the same square is cut",
     ("simulate/point_patterns.py", "point_pattern", "5", "(10)"):
         "a wider field is drawn, of which the same square is cut",
+    ("mtf/edges.py", "_plausible", "side * across > 0", "(side * across <= 0)"):
+        "both sides are asked, in the other order",
     ("simulate/scenes.py", "_hierarchy", "2", "(4)"): "more room than nodes fill",
     ("simulate/systems.py", "_crowded", "3", "(6)"): "smaller cubes do, too",
     ("studies/fitness/tasks.py", "averaged", "uv + off", "(uv - off)"):
