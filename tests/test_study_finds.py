@@ -115,8 +115,9 @@ def test_a_vector_is_inside_its_ellipsoid_up_to_the_quantile_of_chi_square(monke
         vector = np.array([0.2, factor * limit * 0.2, 0])
         found = SimpleNamespace(displacement=SimpleNamespace(vector=vector, covariance=covariance))
         told = lhd_weight.score_vector(found, truth)
-        assert told == {"f1": 1.0, "inside": inside,
-                        "vector_error_m": pytest.approx(factor * limit * 0.2)}  # fmt: skip
+        assert told["inside"] == inside
+        assert told["vector_error_m"] == pytest.approx(factor * limit * 0.2)
+        assert told["vector_length_m"] == pytest.approx(np.linalg.norm(vector))
     lost = SimpleNamespace(
         displacement=SimpleNamespace(vector=np.full(3, np.nan), covariance=covariance)
     )

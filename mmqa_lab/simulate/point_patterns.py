@@ -179,10 +179,8 @@ def aligned_lines_f() -> float:
     >>> aligned_lines_f()
     5
     """
-    k = 1
-    while 1 - 4 / (k + 1) + 2 / (2 * k + 1) * (1 + 1 / comb(2 * k, k)) < 0.5:
-        k += 1
-    return k
+    shares = {k: 1 - 4 / (k + 1) + 2 / (2 * k + 1) * (1 + 1 / comb(2 * k, k)) for k in range(1, 99)}
+    return min(k for k, share in shares.items() if share >= 0.5)
 
 
 def thin(points: ArrayLike, least: float, *, period: ArrayLike | None = None) -> np.ndarray:
