@@ -77,6 +77,10 @@ NAMING = mpl.ticker.FixedFormatter | mpl.ticker.FuncFormatter | mpl.category.Str
 # A line or a set of dots of more points is drawn as pixels in PDF and SVG, too.
 MOST_LINED = 5000
 
+# Labels of ticks may share so much of their boxes, which have room for letters that are not there;
+# else they get smaller, down to this size.
+TOUCHING_PX, LEAST_PT = 1.0, 4.0
+
 # Height of the line below the panels with its margins.
 NOTE_INCHES = 0.18
 
@@ -247,7 +251,8 @@ def finish_figure(figure):
 def laid_out(figure):
     """Lay a figure out once for all formats it is saved in, and draw many points as pixels.
 
-    With a layout engine matplotlib draws a figure twice for each format.
+    With a layout engine matplotlib draws a figure twice for each format. Labels of ticks that
+    would overlap get smaller.
     """
     for ax in figure.axes:
         parts = [(one, one.get_xdata()) for one in ax.lines]
@@ -255,9 +260,31 @@ def laid_out(figure):
         for part in (one for one, places in parts if len(places) > MOST_LINED):
             part.set_rasterized(True)
     figure.draw_without_rendering()
+    shown = [ax for ax in figure.axes if ax.axison]
+    for axis in (axis for ax in shown for axis in (ax.xaxis, ax.yaxis)):
+        _part(axis)
     with mpl.rc_context({"figure.autolayout": False, "figure.constrained_layout.use": False}):
         figure.set_layout_engine(None)
         yield
+
+
+def _part(axis):
+    """Make the upright labels of an axis smaller until none lies on its neighbour."""
+    low, high = sorted(axis.get_view_interval())
+    labels = zip(axis.get_majorticklocs(), axis.get_majorticklabels(), strict=False)
+    labels = [one for place, one in labels if low <= place <= high and one.get_text()]
+    labels = [one for one in labels if not one.get_rotation()]
+    size = labels[0].get_fontsize() if labels else 0
+    while size > LEAST_PT and _overlap(labels, "xy".index(axis.axis_name)):
+        size -= 0.5
+        axis.set_tick_params(labelsize=size)
+
+
+def _overlap(labels, along):
+    """Whether one of some texts lies on the next along an axis of the figure."""
+    boxes = np.array([one.get_window_extent().extents for one in labels]).reshape(-1, 4)
+    first, last = boxes[np.argsort(boxes[:, along])][:, [along, along + 2]].T
+    return bool((last[:-1] - first[1:] > TOUCHING_PX).any())
 
 
 def say_kind(figure, kind):

@@ -2,10 +2,11 @@
 
 import matplotlib.pyplot as plt
 import numpy as np
-from overlaps import doubled_names
+import pytest
+from overlaps import doubled_names, overlapping_texts
 
 from mmqa_lab import plots
-from mmqa_lab.plots import finish_figure
+from mmqa_lab.plots import finish_figure, laid_out
 
 
 def test_symbols_are_set_as_formulas_by_one_rule():
@@ -42,4 +43,21 @@ def test_a_name_that_is_in_the_legend_twice_is_found():
     ax.plot([2, 3], label="f")
     ax.legend()
     assert doubled_names(figure) == ["'f' is in the legend twice"]
+    plt.close(figure)
+
+
+LONG = {"x": np.arange(10_000, 10_012), "y": np.arange(20)}
+
+
+@pytest.mark.parametrize("along", LONG)
+def test_labels_of_ticks_that_overlap_get_smaller_and_others_stay(along):
+    with plt.style.context(plots.STYLE):
+        figure, ax = plots.subplots(height_mm=50)
+        ax.set(**{f"{along}ticks": LONG[along], f"{along}lim": LONG[along][[0, -1]]})
+        other = {"x": ax.yaxis, "y": ax.xaxis}[along]
+        before = other.get_majorticklabels()[0].get_fontsize()
+        assert overlapping_texts(figure)
+        with laid_out(figure):
+            assert overlapping_texts(figure) == []
+            assert other.get_majorticklabels()[0].get_fontsize() == before
     plt.close(figure)

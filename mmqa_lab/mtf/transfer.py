@@ -83,8 +83,10 @@ def spread_edge(distance: ArrayLike, sigma: float, angle: float) -> np.ndarray:
     narrow, wide = np.sort(np.abs([np.cos(angle), np.sin(angle)]))
     narrow, distance = max(narrow, 1e-3), np.asarray(distance, dtype=float)
     outer, inner = (wide + narrow) / 2, (wide - narrow) / 2
-    bend = [_double_integral(distance + place, sigma) for place in (outer, inner, -inner, -outer)]
-    return (bend[0] - bend[1] - bend[2] + bend[3]) / (wide * narrow)
+    low = -np.abs(distance)  # where integrals are small: the differences of large ones round
+    bend = [_double_integral(low + place, sigma) for place in (outer, inner, -inner, -outer)]
+    share = (bend[0] - bend[1] - bend[2] + bend[3]) / (wide * narrow)
+    return np.where(distance > 0, 1 - share, share)
 
 
 def _double_integral(x, sigma):
@@ -228,7 +230,7 @@ def _knots(spread, ends):
     """Knots of the splines, those at the ends four times."""
     half = [0.0]
     while half[-1] < max(-ends[0], ends[1]):
-        step = KNOT * spread if half[-1] < CORE * spread else (half[-1] - half[-2]) * WIDER
+        step = KNOT * spread if half[-1] < CORE * spread - 1e-9 else (half[-1] - half[-2]) * WIDER
         half.append(half[-1] + max(step, 0.3))
     half = np.array(half[1:])
     inner = np.concatenate([-half[::-1], [0], half])
