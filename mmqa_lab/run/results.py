@@ -174,7 +174,8 @@ class Run:
         said = all(word in seen for word in re.findall(r"\w+", kind))
         caption = seen if said else f"{seen} Numbers: {kind}."
         with laid_out(figure):
-            for form, details in FORMATS.items():
+            quick = self._record["size"] == "quick"  # a first look, not for a paper
+            for form, details in ({"png": FORMATS["png"]} if quick else FORMATS).items():
                 details = details | {"Title": caption}
                 self._write(f"{name}.{form}", functools.partial(figure.savefig, metadata=details))
         self._record["figures"][name] = caption
