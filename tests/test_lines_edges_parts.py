@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from mmqa_lab.lines import edges
+from mmqa_lab.plane_search import growth
 
 
 @pytest.mark.parametrize("n", [1.0, 7.5, 300.0])
@@ -74,6 +75,11 @@ def test_bins_are_full_where_points_are_usual_and_reach_the_line(rng):
     far = side + np.array([[0], [0.3], [0]]) * np.sign(depth)
     assert edges._full(far, stops, 0.5, clear).sum() < found.sum()
     assert not edges._full(side[:, :0], stops, 0.5, clear).any()
+    for nearest, reached in ((0.15, True), (0.16, False)):  # of many points a quarter of a bin
+        many = np.linspace(0, 0.999, 300), nearest + np.arange(300) % 100 / 100, np.zeros(300)
+        assert (
+            edges._full(np.array(many), np.array([0, 0.5, 1]), 0.5, clear).tolist() == [reached] * 2
+        )
 
 
 def test_heights_beside_an_edge_count_where_they_are_more_than_chance(rng):
@@ -193,3 +199,44 @@ def test_ends_of_an_edge_have_the_covariance_of_both_planes(degrees):
     normal = found.normals[0]
     assert normal @ first @ normal == pytest.approx(1e-6 + 25e-6)
     assert normal @ last @ normal == pytest.approx(1e-6)
+
+
+def test_planes_meet_in_neighbouring_cells_and_their_points_there_lie_beside_the_line(
+    rng, uncompiled
+):
+    """A floor, two walls on it and one elsewhere: by all pairs of cells."""
+    uncompiled(growth)
+    flat = rng.uniform(0, 4, (4, 300, 3))
+    faces = [
+        flat[0] * [1, 1, 0],
+        flat[1] * [1, 0, 1],
+        flat[2] * [0, 1, 1],
+        flat[3] * [1, 1, 0] + 20,
+    ]
+    points = np.vstack(faces) + [50.0, 60, 70]
+    normals = np.eye(3)[[2, 1, 0, 2]]
+    patches = []
+    for k, own in enumerate(np.split(np.arange(1200), 4)):
+        plane = SimpleNamespace(normal=normals[k], centre=points[own].mean(axis=0))
+        patches.append(SimpleNamespace(clear=rng.permutation(own)[:280], plane=plane))
+    found = edges._Lines(points, patches, 0.5, 0.05)
+    assert sorted(map(tuple, found.pairs.tolist())) == [(0, 1), (0, 2), (1, 2)]
+    kept = np.concatenate([one.clear for one in patches])
+    low = points[kept].min(axis=0)
+    cell = np.floor((points - low) / 0.5 + 1e-6)
+    meets = {}
+    for own in range(3):
+        for other in {0, 1, 2} - {own}:
+            mine, theirs = patches[own].clear, patches[other].clear
+            near = np.abs(cell[mine][:, None] - cell[theirs]).max(axis=2).min(axis=1) <= 1
+            meets[own, other] = points[mine[near]] - found.origin
+    assert [set(one.tolist()) for one in found.near] == [{1, 2}, {0, 2}, {0, 1}, set()]
+    for line, sides in found.supported():
+        pair = found.pairs[line]
+        for (own, other), side in zip((pair, pair[::-1]), sides, strict=True):
+            way, normal = found.direction[line], found.normals[own]
+            off = meets[own, other] - found.foot[line]
+            told = np.column_stack([off @ way, off @ np.cross(normal, way), off @ normal])
+            told = told[np.abs(told[:, 1]) <= 0.5]
+            assert np.transpose(side) == pytest.approx(told[np.argsort(told[:, 0])], abs=1e-9)
+            assert side.shape[1] > 20

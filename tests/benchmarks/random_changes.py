@@ -43,6 +43,8 @@ COLUMNS = ["file", "line", "function", "old", "new", "result", "by", "seconds"]
 EQUIVALENT = {
     ("planes.py", "fit_circle", "a**2 / 4", "(a ** 2 * 4)"): "where a search begins",
     ("spacing/_search.py", "_select", "0", "(1)"): "another first pivot, the same order",
+    ("spacing/_search.py", "_select", "middle - low + 0.5",
+     "(middle - low - 0.5)"): "another first pivot, the same order",
     ("boresight/adjustment.py", "Adjustment._fitted", "1", "(0)"): "how much is kept, not what",
     ("lines/displacement.py", "_solved", "10", "(20)"): "when a search ends",
     ("poles/common.py", "rows_near", "2", "(4)"): "more points are looked at in vain",
