@@ -47,6 +47,8 @@ EQUIVALENT = {
      "(middle - low - 0.5)"): "another first pivot, the same order",
     ("boresight/adjustment.py", "Adjustment._fitted", "1", "(0)"): "how much is kept, not what",
     ("lines/displacement.py", "_solved", "10", "(20)"): "when a search ends",
+    ("poles/axes.py", "fit_axes", "sums(w) + 1e-9",
+     "(sums(w) - 1e-09)"): "it keeps a division finite",
     ("poles/common.py", "rows_near", "2", "(4)"): "more points are looked at in vain",
     ("studies/repeatability.py", "chart_scan", "64", "(128)"): "how much is kept, not what",
     ("test_field/drives.py", "figures", "1e-300", "(2e-300)"): "it keeps a logarithm finite",
