@@ -58,7 +58,8 @@ def table_1():
     wide["legibility"] = table[table["unit"] == "mark"].set_index(ROW)["printed"]
     order = {"orthogonal": 0, "forward": 1, "backward": 2}
     wide = wide.reset_index()
-    return wide.sort_values(ROW, key=lambda column: column.replace(order), ignore_index=True)
+    ranks = {"key": lambda column: column.map(lambda one: order.get(one, one))}
+    return wide.sort_values(ROW, **ranks, ignore_index=True)
 
 
 def pair_limit(sigma_px, blur_px=0.0, *, seed=0):
