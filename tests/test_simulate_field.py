@@ -256,3 +256,11 @@ def test_drifts_of_a_course_reach_to_the_end_of_every_street():
         assert longest <= 5.0 * (course.drift.shape[1] - 1) < longest + 10
     way = canyon._unit_vector(np.random.default_rng(2))
     assert np.linalg.norm(way) == pytest.approx(1)
+
+
+def test_strays_of_a_survey_are_those_beyond_its_pieces():
+    made = canyon.canyon(5).surveys["C2"]
+    stray = made.edge < 0
+    assert len(made.segments) == len(made.edge) == len(made.interval) == len(made.displacement)
+    assert np.isnan(made.interval[stray]).all()
+    assert np.isfinite(made.interval[~stray]).all()

@@ -323,3 +323,16 @@ def test_lamps_reach_over_the_road_and_their_head_hangs_there():
             assert np.ptp(head.centre[1:, 1]) == pytest.approx(0.25)
             assert np.ptp(head.centre[1:, 2]) == pytest.approx(0.15)
     assert reaches(np.array(arms), 0.3, 2.0)
+
+
+def test_panes_lie_five_to_thirty_centimetres_from_their_front():
+    depths = []
+    for seed in range(150):
+        parts = streets._building(np.random.default_rng(seed), 1, 15.0, 0.0, 12.0, PLAN)
+        panes = [one for one in parts if one.label == "pane"]
+        depths += [abs(one.centre[0, 0] - 15) for one in panes[:1]]
+    assert reaches(np.array(depths), 0.05, 0.3)
+
+
+def test_a_crown_has_a_leaf_at_least():
+    assert len(streets.crown((0, 0, 0), (0.05, 0.05, 0.05), 0.1, 1)) == 1
