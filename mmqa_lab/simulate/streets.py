@@ -402,7 +402,7 @@ def pedestrian(rng: np.random.Generator, at: np.ndarray) -> surfaces.Surface:
 
 
 def _building(rng, side, setback, start, length, plan):
-    """A facade along the street with windows, columns and pipes, and the two ends of its house."""
+    """A facade along the street with bay windows, columns and pipes, and both ends of its house."""
     at = np.array([side * setback, start, -0.2])
     floors, rise = int(rng.integers(1, 5)), 3.0
     height = floors * rise + 0.8
@@ -410,7 +410,7 @@ def _building(rng, side, setback, start, length, plan):
     window = pitch * rng.uniform(0.4, 0.85)
     places = np.arange(pitch / 2, length - pitch / 2, pitch)
     openings = [(place - window / 2, 0.9, window, 1.5) for place in places]
-    # seen from the street a wall runs to the left
+    # seen from the street a wall runs to the right, so its panes stand out by the reveal, as bays
     first, along = (length, -length) if side > 0 else (0, length)
     made = []
     for floor in range(floors):
