@@ -430,3 +430,8 @@ def test_pieces_of_a_cloud_count_what_is_dropped_over_all_of_them(tmp_path, rng)
     assert [*one[0].columns] == ["user_data"]
     with pytest.raises(ValueError, match="no scans in it"):
         list(io.iterate_cloud(tmp_path / "a.laz", scan=0))
+
+
+def test_a_long_entry_is_named_by_its_first_letters():
+    with pytest.raises(ValueError, match=r"column a, '" + "b" * 30 + r"'\. Must be numbers\."):
+        tables.with_numbers(pd.DataFrame({"a": ["b" * 50]}), ["a"], "t")

@@ -237,3 +237,8 @@ def test_a_bootstrap_draws_rows_together_and_takes_the_quantiles_of_what_is_know
         found = stats.bootstrap(lambda one, turns=turns: next(turns), values, repeats=100)
         assert (found.low == found.high == 1) == told
     assert np.isnan(stats.bootstrap(np.mean, [3.0]).low)
+
+
+def test_no_trials_have_no_rate_and_no_successes_one():
+    assert (stats.wilson(0, 0).k, stats.wilson(0, 0).n) == (0, 0)
+    assert (stats.wilson(0, 3).k, stats.wilson(0, 3).value) == (0, 0)
