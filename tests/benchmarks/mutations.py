@@ -140,7 +140,7 @@ FAULTS = (
     ("mtf", "one_sided(fit) > ONE_SIDED", "False", "test_silent_images.py"),
     ("mtf", "= strange > OTHER_EDGE and", "= False and", "test_silent_images.py"),
     ("mtf", "(overshoot(fit) > OVERSHOOT, ", "(False, ", "test_silent_images.py"),
-    ("mtf", " and overshoot(fit) <= OVERSHOOT", "", "test_silent_images.py"),
+    ("mtf", " and overshoot(fit) <= OVERSHOOT", "", "test_mtf_doubts.py"),
     ("mtf", "(clipped, clips)", "(False, clips)", "test_silent_images.py"),
     ("mtf", "np.sqrt(2 * bins)", "1", "test_mtf.py"),
     ("mtf", "WIDEST_GAP_PX = 0.75", "WIDEST_GAP_PX = 0.7", "test_mtf.py"),
