@@ -260,7 +260,7 @@ def laid_out(figure):
         for part in (one for one, places in parts if len(places) > MOST_LINED):
             part.set_rasterized(True)
     figure.draw_without_rendering()
-    shown = [ax for ax in figure.axes if ax.axison]
+    shown = [ax for ax in figure.axes if ax.axison and ax.name == "rectilinear"]
     for axis in (axis for ax in shown for axis in (ax.xaxis, ax.yaxis)):
         _part(axis)
     with mpl.rc_context({"figure.autolayout": False, "figure.constrained_layout.use": False}):

@@ -61,3 +61,12 @@ def test_labels_of_ticks_that_overlap_get_smaller_and_others_stay(along):
             assert overlapping_texts(figure) == []
             assert other.get_majorticklabels()[0].get_fontsize() == before
     plt.close(figure)
+
+
+@pytest.mark.parametrize("projection", ["polar", "3d"])
+def test_axes_without_x_and_y_are_laid_out_as_they_are(projection):
+    figure = plt.figure(layout="constrained")
+    figure.add_subplot(projection=projection)
+    with laid_out(figure):
+        assert figure.get_layout_engine() is None
+    plt.close(figure)

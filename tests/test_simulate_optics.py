@@ -117,6 +117,7 @@ def test_exposed_motion_and_defocus_add_their_variances():
 
 
 def test_samples_lie_in_sixths_of_a_pixel_about_its_centre():
+    # OpenCV 4 finds places to a 64th of a cell, whose neighbours differ by 0.005 and 0.008
     x = np.arange(200) * 0.5 + 0.25  # mm of cells half a millimetre wide
     printed = np.tile(np.float32(x / 100), (120, 1))
     view = flat_map(0.5, (3.0, 28.0))
@@ -125,14 +126,14 @@ def test_samples_lie_in_sixths_of_a_pixel_about_its_centre():
     column = (np.arange(240) + 0.5) / 6 - 0.5
     place = (column - 3) / 0.5
     known = (place > 1) & (place < 99)
-    assert found[60, known] == pytest.approx(place[known] / 100, abs=2e-5)
+    assert found[60, known] == pytest.approx(place[known] / 100, abs=1.5e-4)
     assert found[60, 0] == pytest.approx(0.4)
     upright = np.tile(np.float32((np.arange(120) * 0.5 + 0.25) / 60), (200, 1)).T.copy()
     found = cameras._sampled(upright, 0.5, view, (40, 20))
     row = (np.arange(120) + 0.5) / 6 - 0.5
     high = (28 - row) / 0.5
     known = (high > 1) & (high < 59)
-    assert found[known, 120] == pytest.approx(high[known] / 60, abs=2e-5)
+    assert found[known, 120] == pytest.approx(high[known] / 60, abs=1.5e-4)
 
 
 def test_recorded_noise_is_half_constant_and_half_in_proportion_to_the_signal():

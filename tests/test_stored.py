@@ -227,4 +227,6 @@ def test_the_readme_shows_what_its_command_draws(tmp_path):
     assert main([*line.split(), "--out", str(tmp_path / "road.png")]) == 0
     shown = Image.open(notebooks_folder() / "road.png").convert("RGB")
     drawn = Image.open(tmp_path / "road.png").convert("RGB").resize(shown.size)
-    assert np.abs(np.subtract(shown, drawn, dtype=float)).mean() < 4  # of 255; fonts may differ
+    assert (
+        np.abs(np.subtract(shown, drawn, dtype=float)).mean() < 8
+    )  # of 255; fonts and layouts may differ
