@@ -206,7 +206,7 @@ TWO_DIGITS = re.compile(r"(?<![\w.,/=-])(?:[1-9]\d*\.\d+|0\.0*[1-9]\d+)(?![\w.]*
 """Numbers with a decimal part and two digits that count, where no name or version goes on."""
 
 NO_RESULT = re.compile(
-    r"\*\*Answer\.\*\*.*|doi\S+|https?\S+|\$[^$]*\$|`[^`]*`"
+    r"\*\*Answer\..*|doi\S+|https?\S+|\$[^$]*\$|`[^`]*`"
     r"|(?i:sections?|tables?|figures?|equations?|chapters?) [\d., andto()-]+"
 )
 """What is no result of a run, or renewed with it: answers, links, formulas, code, places."""

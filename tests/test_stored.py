@@ -101,10 +101,10 @@ def test_what_is_stored_is_small_and_needs_no_kernel(tmp_path):
     cells = [said, nbformat.v4.new_code_cell("draw()")]
     nbformat.write(nbformat.v4.new_notebook(cells=cells), study.path)
     cells[1].outputs = outputs
-    said.source = "# Ran\n\n**Answer.** Yes, by 3 mm.\n\n![All](attachment:answer.png)\n\nSource."
+    said.source = "# Ran\n\n**Answer. Yes.** By 3 mm.\n\n![All](attachment:answer.png)\n\nSource."
     write_atomically(results / "ran.ipynb", nbformat.writes(nbformat.v4.new_notebook(cells=cells)))
     (results / "key.png").write_bytes(content)
-    answer = {"sentence": "Yes, by 3 mm.", "short": "Yes.", "figure": "key", "thumbnail": "key"}
+    answer = {"sentence": "By 3 mm.", "short": "Yes.", "figure": "key", "thumbnail": "key"}
     ran = {"size": "full", "failure": "", "seconds": 2.5, "answer": answer}
     write_record(results, ran)
     for _ in range(2):  # what the first has written may be stored again
@@ -116,9 +116,7 @@ def test_what_is_stored_is_small_and_needs_no_kernel(tmp_path):
     assert width <= 1000
     assert study.path.stat().st_size <= LARGEST_BYTES
     assert stored.metadata["mmqa_lab"]["code"] == code_hash(stored)
-    assert (
-        tmp_path / "answers.csv"
-    ).read_text() == 'study,short,answer\nran,Yes.,"Yes, by 3 mm."\n'
+    assert (tmp_path / "answers.csv").read_text() == "study,short,answer\nran,Yes.,By 3 mm.\n"
     assert (tmp_path / "thumbnails" / "99_ran.png").is_file()
     assert stored_seconds(tmp_path) == {"ran": 2.5}
     write_atomically(study.path, study.path.read_text().replace("draw()", "draw(2)"))
@@ -176,7 +174,7 @@ def test_the_readme_is_short_and_has_the_stored_answers():
         assert not re.search(r"[(\[]", short)
         assert f"{study.notebook}.ipynb) | {short} |" in text
         first = nbformat.read(study.path, as_version=4).cells[0].source
-        assert f"\n\n**Answer.** {answers.loc[study.stem, 'answer']}\n\n" in first
+        assert f"\n\n**Answer. {short}** {answers.loc[study.stem, 'answer']}\n\n" in first
     ledger = pd.read_csv(notebooks_folder() / "ledger.csv", dtype={"printed": str})
     counts, width = summary(ledger).loc["all"], f"{100 * usual_width(ledger):.0f} %"
     assert f"print {counts.sum()} results. Ours equal {counts['reproduced']} to the" in text

@@ -101,7 +101,7 @@ def test_notebook_runs_with_small_parameters(study, tmp_path):
     ran = nbformat.read(folder / f"{study.stem}.ipynb", as_version=4)
     first = next(cell for cell in ran.cells if cell.cell_type == "markdown")
     shown = "\n\n![Answer](attachment:answer.png)\n\n"
-    assert f"\n\n**Answer.** {answer['sentence']}{shown}" in first.source
+    assert f"\n\n**Answer. {answer['short']}** {answer['sentence']}{shown}" in first.source
     assert "answer.png" in first.attachments
     outputs = [one for cell in ran.cells for one in cell.get("outputs", [])]
     assert "".join(one["text"] for one in outputs if one.get("name") == "stderr") == ""

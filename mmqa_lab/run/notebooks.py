@@ -47,7 +47,7 @@ ENVIRONMENT = {
 }
 
 # The answer of a run with its figure, on the first screen of a notebook.
-ANSWER = re.compile(r"(?m)^\*\*Answer\.\*\* .*\n+(!\[.*\]\(attachment:.*\)\n+)?")
+ANSWER = re.compile(r"(?m)^\*\*Answer\..*\n+(!\[.*\]\(attachment:.*\)\n+)?")
 
 # Widths of stored figures, which is 178 mm at 143 dpi, of the answer's and of thumbnails.
 WIDTH_PX, ANSWER_PX, THUMBNAIL_PX = 1000, 800, 280
@@ -120,7 +120,8 @@ def _answer(notebook, record, folder):
         return
     first = next(cell for cell in notebook.cells if cell.cell_type == "markdown")
     content = _shrunk((folder / f"{figure}.png").read_bytes(), ANSWER_PX)
-    said = f"**Answer.** {record['answer']['sentence']}\n\n![Answer](attachment:answer.png)\n\n"
+    said = f"**Answer. {record['answer']['short']}** {record['answer']['sentence']}\n\n"
+    said += "![Answer](attachment:answer.png)\n\n"
     first.source = ANSWER.sub(lambda _: said, first.source)
     first.attachments = {"answer.png": {"image/png": base64.b64encode(content).decode()}}
 
