@@ -280,6 +280,10 @@ def test_spearman_and_balanced_accuracy_by_their_definitions(rng):
     assert comparison._spearman(values) == pytest.approx(expected)
     flat = np.vstack([np.ones(40), values[-1]])
     assert comparison._spearman(flat) == pytest.approx([0])
+    tied = np.vstack([values, np.full(40, np.inf), rng.random((2, 40))])
+    draws = rng.integers(40, size=(20, 40))
+    each = np.transpose([comparison._spearman(tied[:, draw]) for draw in draws])
+    assert np.array_equal(comparison._drawn_spearman(tied, draws), each)  # to the bit
     assert stats.rank_correlation(values[:-1], values[-1]) == pytest.approx(expected)
     fit, accepted = rng.random(40) < 0.3, rng.random((40, 3)) < 0.5
     found = comparison._balanced(accepted, fit)

@@ -66,8 +66,8 @@ def correlations(figures, errors, *, resamples=300):
         n = values.shape[1]
         if n < 3:
             continue
-        drawn = [_spearman(values[:, draw]) for draw in rng.integers(n, size=(resamples, n))]
-        ends = np.percentile(drawn, (2.5, 97.5), axis=0)
+        drawn = _drawn_spearman(values, rng.integers(n, size=(resamples, n)))
+        ends = np.percentile(drawn, (2.5, 97.5), axis=1)
         rows += [(*row, task, n) for row in zip(figures, _spearman(values), *ends, strict=True)]
     return pd.DataFrame(rows, columns=["method", "spearman", "low", "high", "task", "n"])
 
@@ -81,6 +81,28 @@ def _spearman(values):
     ranks -= ranks.mean(axis=1, keepdims=True)
     length = np.sqrt((ranks**2).sum(axis=1))
     return ranks[:-1] @ ranks[-1] / np.maximum(length[:-1] * length[-1], 1e-9)
+
+
+def _drawn_spearman(values, draws):
+    """:func:`_spearman` of ``values[:, draw]`` for each draw, (rows - 1, draws).
+
+    Each row is sorted once: how often its places are drawn gives all ranks.
+    """
+    size = values.shape[1]
+    times = np.stack([np.bincount(draw, minlength=size) for draw in draws], axis=1)
+
+    def ranks(row):  # from their mean
+        order = np.argsort(row)
+        below = np.vstack([np.zeros_like(times[:1]), times[order].cumsum(axis=0)])
+        first, behind = (np.searchsorted(row, row, side, order) for side in ("left", "right"))
+        return (below[first] + below[behind] - size) / 2
+
+    last, found = ranks(values[-1]), []
+    for own in map(ranks, values[:-1]):
+        squares = ((times * one**2).sum(axis=0) for one in (own, last))
+        length = np.prod([np.sqrt(one) for one in squares], axis=0)
+        found.append((times * own * last).sum(axis=0) / np.maximum(length, 1e-9))
+    return np.array(found)
 
 
 def matrix(found, value="spearman"):
