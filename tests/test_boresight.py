@@ -215,7 +215,7 @@ def test_variances_are_those_of_leaving_each_feature_out(rng):
     of, ways = np.repeat(np.arange(6), 5), np.eye(6)[:, :3]
     slopes, misfit = rng.normal(size=(30, 3)), 0.01 * rng.normal(size=30)
     paths, path_std = rng.normal(size=(30, 12)), np.array([0.02, 0.03, 0.05, 1e-4, 2e-4, 3e-4])
-    known = SimpleNamespace(system=lambda _: (misfit, slopes, paths, of), ways=ways,
+    known = SimpleNamespace(system=lambda *_, **__: (misfit, slopes, paths, of), ways=ways,
                             _refuse_open=lambda _: None)  # fmt: skip
     found, freedom = Adjustment.variance(known, None, path_std)
     # each feature moves the answer by what it changes where it is left out
@@ -251,7 +251,7 @@ def line_kind(slopes, target, of, scatter):
     kind = SimpleNamespace(slopes=slopes, target=target, of=of, scatter=scatter)
     kind.known = [None] * (of.max() + 1)
     paths = np.zeros((len(slopes), 6))
-    kind.rows = lambda values: (
+    kind.rows = lambda values, _: (
         kind.slopes @ values.ravel() - kind.target,
         np.hstack([kind.slopes, paths[: len(kind.slopes)]]),
         kind.of,
@@ -326,6 +326,7 @@ def test_slopes_of_shots_are_changes_of_points_by_heads_and_by_paths(rng):
     values[:, :3] = 0  # of small angles
     slopes, step = shots.slopes(values, way), 1e-6
     assert slopes.shape == (12, 6 * (2 + 3))
+    assert np.array_equal(shots.slopes(values, way, paths=False), slopes[:, :12])
     for k in range(12):  # of heads
         change = step * np.eye(12)[k].reshape(2, 6)
         moved = (shots.placed(values + change) - shots.placed(values - change)) / (2 * step)

@@ -10,6 +10,7 @@ from scipy.linalg import null_space
 from scipy.optimize import least_squares
 
 from mmqa_lab._checks import check_columns
+from mmqa_lab._compiled import njit
 from mmqa_lab.cloud import group_axes
 from mmqa_lab.planes import sigma_mad
 from mmqa_lab.rotations import rotations
@@ -21,10 +22,6 @@ PARAMETERS = ("roll_deg", "pitch_deg", "heading_deg", "x_m", "y_m", "z_m")
 """Parameters of each head: boresight, and corrections to the assumed lever arm."""
 
 
-TURN_AXES = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-"""Axes of roll, pitch and heading."""
-
-
 class Adjustment:
     """Least squares of the misfits of all kinds, each over its scatter."""
 
@@ -34,11 +31,14 @@ class Adjustment:
         if level and free[5]:  # the mean of z_m stays 0
             self.ways = self.ways @ null_space(self.ways[5::6].sum(axis=0, keepdims=True))
 
-    def system(self, values):
-        """Misfits and slopes by free parameters and by paths, and the feature of each row."""
+    def system(self, values, paths=False):
+        """Misfits and slopes by free parameters and by paths, and the feature of each row.
+
+        Slopes by paths have no columns where they are not asked for.
+        """
         parts, last = [], 0
         for kind in self.kinds:
-            misfit, slopes, of = kind.rows(values)
+            misfit, slopes, of = kind.rows(values, paths)
             parts.append((misfit / kind.scatter, slopes / kind.scatter, last + of))
             last += len(kind.known)
         misfit, slopes, of = map(np.concatenate, zip(*parts, strict=True))
@@ -49,7 +49,7 @@ class Adjustment:
         parameters = self.ways.T @ values.ravel()
         for turn in range(3):  # misfits leave in between
             for kind in self.kinds if turn else []:
-                misfit = kind.rows(values)[0]
+                misfit = kind.rows(values, False)[0]
                 kind.scatter = max(sigma_mad(misfit), 1e-6)
                 kind.keep(np.abs(misfit) <= 3.5 * kind.scatter)  # the rule for outliers
             parameters = self._fitted(parameters)
@@ -82,7 +82,7 @@ class Adjustment:
         degrees of freedom of a variance are the number of features that would have the same
         variance with equal shares.
         """
-        misfit, slopes, paths, of = self.system(values)
+        misfit, slopes, paths, of = self.system(values, paths=True)
         self._refuse_open(slopes)
         starts = np.flatnonzero(np.diff(of, prepend=-1))
         gradients = np.add.reduceat(slopes * misfit[:, None], starts)
@@ -135,19 +135,18 @@ class OnPlanes:
         """First row of each feature that still has points."""
         return np.flatnonzero(np.diff(self.of, prepend=-1))
 
-    def rows(self, values):
+    def rows(self, values, paths=True):
         """Misfit, slopes (see ``Shots.slopes``) and number of the feature of each row.
 
         The parameters of the features are eliminated.
         """
         n, off, _, variance, axes = group_axes(self.shots.placed(values), self.starts)
         off = np.einsum("ni,nij->nj", off, np.repeat(axes, n, axis=0))
-        slopes = self.shots.slopes(values, np.repeat(axes[:, :, 0], n, axis=0))
-        for k in range(3):  # offset and two tilts: from the centre they are orthogonal
-            size = n if k == 0 else n * np.maximum(variance[:, k], 1e-12)
-            column = (np.ones(len(off)) if k == 0 else off[:, k])[:, None]
-            share = np.add.reduceat(column * slopes, self.starts) / size[:, None]
-            slopes -= column * np.repeat(share, n, axis=0)
+        slopes = self.shots.slopes(values, np.repeat(axes[:, :, 0], n, axis=0), paths)
+        sizes = n[:, None] * np.maximum(variance, 1e-12)
+        sizes[:, 0] = n
+        ways = np.column_stack([np.ones(len(off)), off[:, 1:]])
+        _without(ways, sizes, np.append(self.starts, len(off)), slopes)
         return off[:, 0], slopes, self.of
 
     def keep(self, good):
@@ -166,11 +165,11 @@ class OnPoles(OnPlanes):
         super().__init__(shots, features)
         self.ways = np.concatenate([np.empty((0, 2)), *(known[0] for known in self.known)])
 
-    def rows(self, values):
+    def rows(self, values, paths=True):
         """See ``OnPlanes``."""
         points = self.shots.placed(values)
         misfit = (self.ways * points[:, :2]).sum(axis=1)
-        slopes = self.shots.slopes(values, np.pad(self.ways, ((0, 0), (0, 1))))
+        slopes = self.shots.slopes(values, np.pad(self.ways, ((0, 0), (0, 1))), paths)
         both = np.column_stack([misfit, slopes])
         for run in np.split(np.arange(len(points)), self.starts[1:]):
             way, radius = self.ways[run], self.known[self.of[run[0]]][1]
@@ -192,11 +191,11 @@ class OnGround(OnPlanes):
 
     scatter = 0.01
 
-    def rows(self, values):
+    def rows(self, values, paths=True):
         """See ``OnPlanes``; a row per control point."""
         numbers, n = np.unique(self.of, return_counts=True)
         up = np.tile([0.0, 0.0, 1.0], (len(self.of), 1))
-        both = np.hstack([self.shots.placed(values)[:, 2:], self.shots.slopes(values, up)])
+        both = np.hstack([self.shots.placed(values)[:, 2:], self.shots.slopes(values, up, paths)])
         both = np.add.reduceat(both, self.starts) / n[:, None]
         return both[:, 0] - np.take(self.known, numbers), both[:, 1:], numbers
 
@@ -268,17 +267,49 @@ class Shots:
         """Points from the origin; ``values`` (heads, 6) in radians and metres."""
         return self.place + np.einsum("nij,nj->ni", self.rotation, self.inside(values)[1])
 
-    def slopes(self, values, way):
+    def slopes(self, values, way, paths=True):
         """Change of points along ``way`` (n, 3) by heads (6 h columns), then by paths (6 d).
 
         A path's error lasts its whole drive: place (east, north, height) and angles.
         """
         beam, point = self.inside(values)
         across = np.einsum("nij,ni->nj", self.rotation, way)
-        own = np.hstack([np.cross(beam, across) @ TURN_AXES.T, across])
-        paths = np.hstack([way, np.cross(point, across) @ TURN_AXES.T])
-        heads, count = len(values), self.drive.max() + 1
-        table = np.zeros((len(way), heads + count, 6))
-        rows = np.arange(len(way))
-        table[rows, self.head], table[rows, heads + self.drive] = own, paths
-        return table.reshape(len(way), -1)
+        last, rows = 6 * len(values), np.arange(len(way))[:, None]
+        table = np.zeros((len(way), last + paths * 6 * (self.drive.max() + 1)))
+        _turned(beam, across, 6 * self.head, table)
+        table[rows, 6 * self.head[:, None] + [3, 4, 5]] = across
+        if paths:
+            _turned(point, across, last + 6 * self.drive + 3, table)
+            table[rows, last + 6 * self.drive[:, None] + [0, 1, 2]] = way
+        return table
+
+
+@njit(nogil=True)
+def _turned(arm, across, first, table):
+    """Fill in the slopes by roll, pitch and heading of points at the end of an arm, (n, 3)."""
+    for n in range(len(arm)):
+        (x, y, z), (a, b, c) = arm[n], across[n]
+        table[n, first[n]] = z * a - x * c
+        table[n, first[n] + 1] = y * c - z * b
+        table[n, first[n] + 2] = y * a - x * b
+
+
+@njit(nogil=True)
+def _without(ways, sizes, starts, slopes):
+    """Take from slopes what the parameters of each plane do: its offset and two tilts.
+
+    ``ways`` (n, 3) are their own slopes, orthogonal from the centre, with sums of squares
+    ``sizes`` (features, 3). Feature by feature they stay in the cache of the processor.
+    """
+    share = np.empty(slopes.shape[1])
+    for g in range(len(sizes)):
+        for k in range(3):
+            share[:] = 0.0
+            for n in range(starts[g], starts[g + 1]):
+                for c in range(len(share)):
+                    share[c] += ways[n, k] * slopes[n, c]
+            for c in range(len(share)):
+                share[c] /= sizes[g, k]
+            for n in range(starts[g], starts[g + 1]):
+                for c in range(len(share)):
+                    slopes[n, c] -= ways[n, k] * share[c]
