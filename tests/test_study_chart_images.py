@@ -100,13 +100,13 @@ def test_ledger_has_every_pixel_size_and_mark_of_table_1():
 
 def test_each_check_of_the_notebook_can_fail():
     counts = pd.DataFrame({"spurious": [0, 2]}, index=["every gap", "contrast alone"])
-    rivals = pd.DataFrame({"exact": [7]}, index=["one width a distance"])
     right = {
         "inside": pd.Series([False, True, True]),
         "others": pd.Series([False, True, True]),
         "ratio": pd.Series([1.2]),
         "best": {"exact": 16.0},
-        "rivals": rivals,
+        "other_systems": 14,
+        "baseline": 9,
         "n": 22,
         "fitted_px": 2.77,
         "comparison": SimpleNamespace(cases=[1]),
@@ -118,6 +118,7 @@ def test_each_check_of_the_notebook_can_fail():
         "inside": pd.Series([False, True, False]),
         "ratio": pd.Series([1.0]),
         "best": {"exact": 7.0},
+        "other_systems": 9,
         "wrong": counts.assign(spurious=0),
         "largest": 2.0,
     }
