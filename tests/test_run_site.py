@@ -4,13 +4,15 @@ import importlib
 import re
 
 import nbformat
+import pandas as pd
 import pytest
 
 from mmqa_lab.__main__ import main
 from mmqa_lab.metrics import METRICS
-from mmqa_lab.run.notebooks import execute
+from mmqa_lab.run.notebooks import execute, show_above
 from mmqa_lab.run.pages import public_names
-from mmqa_lab.studies import STUDIES, TOOLS
+from mmqa_lab.studies import STUDIES, TOOLS, notebooks_folder
+from mmqa_lab.studies.fitness.tasks import FREE
 
 
 def test_public_names_are_those_that_can_be_imported():
@@ -56,3 +58,23 @@ def test_metric_cards_run_and_show_every_card(tmp_path):
     ]
     titles = {text.split("\n")[0].lstrip("# ") for text in texts if text.startswith("##")}
     assert titles >= {*METRICS, "Pixel size at the object", "MTF50", "Siemens star"}
+    first = notebook.cells[0]
+    assert sorted(re.findall(r"`(\w+)`", first.source)) == sorted(METRICS)  # its contents
+    first.attachments = {"other.png": {"image/png": ""}, "cards-counted.png": {"image/png": ""}}
+    show_above(notebook)
+    assert [len(one["image/png"]) > 10_000 for one in first.attachments.values()] == [False, True]
+
+
+def test_the_cards_answer_is_what_the_stored_correlations_say():
+    cards = next(study for study in TOOLS if study.stem == "metric_cards")
+    said = " ".join(nbformat.read(cards.path, as_version=4).cells[0].source.split())
+    table = pd.read_csv(notebooks_folder() / "tasks_by_figures.csv")
+    ordered = table[(table["spearman"] >= 0.3) & (table["low"] > 0)]
+    free = ordered[ordered["task"].isin({*FREE} - {"pole_missed_percent"})]
+    counts = free["method"].value_counts().reindex(list(METRICS), fill_value=0)
+    assert (counts["noise_of_a_mean"], len(FREE) - 1) == (7, 8)
+    assert "The noise of a mean orders seven of the eight tasks that no metric defines." in said
+    alike = [name for name in METRICS if name not in set(ordered["method"])]
+    assert len(alike) == 6
+    assert "f" in alike
+    assert "f orders none, like five other metrics of evenness." in said

@@ -32,8 +32,8 @@ from mmqa_lab.run.results import new_record, read_record, write_record
 from mmqa_lab.studies import SIZES
 
 __all__ = [
-    "ENVIRONMENT", "TIMES", "code_hash", "execute", "inject", "machine_speed", "run_study", "store",
-    "stored_seconds",
+    "ENVIRONMENT", "TIMES", "code_hash", "execute", "inject", "machine_speed", "run_study",
+    "show_above", "store", "stored_seconds",
 ]  # fmt: skip
 
 
@@ -96,6 +96,7 @@ def run_study(study, folder, *, size="full"):
     above += [f"**Stopped: `{failure}`. The cells below it were not run.**"] if failure else []
     record = read_record(target) | {"seconds": seconds, "failure": failure}
     _answer(notebook, record, target)
+    show_above(notebook)
     write_atomically(target / f"{study.stem}.ipynb", nbformat.writes(notebook))
     page = notebook_page(notebook, study.title, above=above)
     write_atomically(target / f"{study.stem}.html", page)
@@ -124,6 +125,18 @@ def _answer(notebook, record, folder):
     said += "![Answer](attachment:answer.png)\n\n"
     first.source = ANSWER.sub(lambda _: said, first.source)
     first.attachments = {"answer.png": {"image/png": base64.b64encode(content).decode()}}
+
+
+def show_above(notebook):
+    """Renew pictures of the first cell that have the name of the cell which draws them."""
+    first = notebook.cells[0]
+    drawn = {cell.id: cell.get("outputs", []) for cell in notebook.cells}
+    for name in re.findall(r"\(attachment:([\w-]+)\.png\)", first.source):
+        for output in drawn.get(name, []):
+            if content := output.get("data", {}).get("image/png"):
+                small = _shrunk(base64.b64decode(content), ANSWER_PX)
+                picture = {"image/png": base64.b64encode(small).decode()}
+                first.attachments = {**first.get("attachments", {}), f"{name}.png": picture}
 
 
 def execute(notebook, folder, *, results, again=True):
