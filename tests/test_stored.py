@@ -83,8 +83,8 @@ def test_the_readme_advises_what_real_clouds_do_not_contradict(tmp_path):
         "it chooses: at most 0.05, elsewhere at most 0.11"
     )
     assert (tmp_path / "README.md").read_text().splitlines()[4:] == [
-        "|d|`e95` at most 30 mm|none|0.80 (0.70 to 0.90)|20, 35, nan|",
-        "|e|`density` at least 30 points/m2|21|0.80 (0.70 to 0.90)|20, 35, nan|",
+        "|d|`e95` no limit|30|0.80 (0.70 to 0.90)|20, 35, nan|",
+        "|e|`density` at least 21 points/m2|30|0.80 (0.70 to 0.90)|20, 35, nan|",
         "",
         "End.",
     ]

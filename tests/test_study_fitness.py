@@ -355,6 +355,15 @@ def test_the_advice_follows_real_clouds_and_then_the_worst_group():
     for task, low, expected in cases:  # a metric defines the tilt
         chosen = study.advice(table.assign(task=task, low=low), real.assign(task=task)).iloc[0]
         assert (chosen["method"], chosen["advised"]) == ("r", expected)
+    real = pd.concat([real.assign(data=name) for name in ("road", "street", "lane")])
+    density = real[real["method"] == "s"].assign(method="density", low=0.4)
+    table, real = table.assign(task="wire_m", low=0.65), real.assign(task="wire_m", low=0.3)
+    density = density.assign(task="wire_m")
+    chosen = study.advice(table[table["method"] == "r"], pd.concat([real, density])).iloc[0]
+    assert (chosen["density_ahead"], chosen["advised"]) == (3, "no")  # on each of three clouds
+    density.loc[density["data"] == "lane", "spearman"] = 0.45
+    chosen = study.advice(table[table["method"] == "r"], pd.concat([real, density])).iloc[0]
+    assert (chosen["density_ahead"], chosen["advised"]) == (2, "yes")
 
 
 def test_a_chart_reaches_as_far_as_things_agree_with_it():

@@ -249,18 +249,16 @@ def _renew_readme(readme, answers, counts=None, width=None):
 
 def _renew_advice(readme, found):
     """Write the advised metrics of tasks into the README's table."""
-    rows = [
-        "|task|ask for|for nine of ten, fitted|balanced accuracy|limit for heads, beams, others|"
-    ]
+    rows = ["|task|ask for|looser limit|its balanced accuracy|for heads, beams, others|"]
     rows.append("|---|---|---|---|---|")
     found = found[found["advised"] == "yes"]
     for row in found.itertuples():
         one = METRICS[row.method]
         end = {"less": "at most", "more": "at least"}[one.better]
-        limit = f"`{row.method}` {end} {row.limit:.2g} {one.unit}"
+        nine = f"{end} {row.nine_of_ten:.2g} {one.unit}"
+        nine = nine if row.nine_of_ten == row.nine_of_ten else "no limit"
         score = f"{row.balanced:.2f} ({row.low:.2f} to {row.high:.2f})"
-        nine = f"{row.nine_of_ten:.2g}".replace("nan", "none")
-        rows.append(f"|{row.words}|{limit}|{nine}|{score}|{row.limits}|")
+        rows.append(f"|{row.words}|`{row.method}` {nine}|{row.limit:.2g}|{score}|{row.limits}|")
     text = readme.read_text(encoding="utf-8")
     text = re.sub(r"\|task\|ask for(?:[^\n]+\n)+", "\n".join([*rows, ""]), text)
     lost = {"chooses": found["balanced"] - found["nested"]}

@@ -23,6 +23,9 @@ NEAR = 0.03
 COIN, LEAST_ADVISED = 0.5, 0.6
 """Balanced accuracy of a coin, and that which the interval of an advised metric must pass."""
 
+SETS = 3
+"""Real clouds of a task, all ordered better by density, that speak against another metric."""
+
 RHO0 = 3000.0
 """The density of section 4.2 of Pfeifer et al. 2021, with its exemption."""
 
@@ -273,8 +276,10 @@ def advice(table, real):
         where no group is judged;
         ``near_in``, the groups in which that is less than ``NEAR``; ``limits``, the best limit
         within each group, as text, where it is shown to be better than a coin;
-        ``contradicted_by``; ``advised``, ``yes`` unless a metric defines the task, a real cloud
-        contradicts, the metric is near the best for no group, or hardly better than a coin.
+        ``contradicted_by``; ``density_ahead``, how many real clouds density orders better;
+        ``advised``, ``yes`` unless a metric defines the task, a real cloud contradicts, density
+        orders each of ``SETS`` real clouds or more better, the metric is near the best for no
+        group, or hardly better than a coin.
     """
     keys = ["task", "method"]
     whole = table["scanners"] == "pooled"
@@ -295,6 +300,11 @@ def advice(table, real):
     found = found.drop_duplicates("task").sort_index()
     known = found["task"].isin(FREE) & (found["low"] > LEAST_ADVISED)
     known &= (found["near_in"] != "none") & (found["contradicted_by"] == "none")
+    ranks = real.pivot(index=["task", "data"], columns="method", values="spearman")
+    ahead = ranks.lt(ranks.get("density", np.nan), axis=0).groupby("task").sum()
+    clouds = found["task"].map(ranks.groupby("task").size()).fillna(0)
+    found = found.join(ahead.stack().rename("density_ahead"), on=keys).fillna({"density_ahead": 0})
+    known &= (found["density_ahead"] < clouds) | (clouds < SETS)
     found["advised"] = np.where(known, "yes", "no")
     return found.drop(columns=["scanners", "sets"]).reset_index(drop=True)
 
