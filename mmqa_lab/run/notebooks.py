@@ -239,32 +239,30 @@ def _renew_readme(readme, answers, counts=None, width=None):
     for stem, (short, _) in answers.items():
         text = re.sub(rf"(_?\d\d_{stem}\.ipynb\) \| )[^|\n]*( \|)", rf"\g<1>{short}\g<2>", text)
     if counts is not None:
-        said = f"print {counts.sum()} results. Ours equal {counts['reproduced']} to the printed "
-        said += f"digits. {counts['consistent']} more lie within our ranges, in the median "
-        said += f"{100 * width:.0f} % wide; {counts['differs']} differ.\n{counts['fitted']} served "
-        said += f"to fit, and {counts['not comparable']} cannot be compared"
-        text = re.sub(r"(?s)print \d+ results\. Ours.*\d+ cannot be compared", said, text)
+        said = f"print {counts.sum()} results. {counts['reproduced']} are reproduced to the "
+        said += f"printed digits. {counts['consistent']} are consistent with our ranges, whose "
+        said += f"median width is {100 * width:.0f} % of the value; {counts['differs']} differ.\n"
+        said += f"{counts['fitted']} served to fit, and {counts['not comparable']} are not "
+        said += "comparable"
+        text = re.sub(r"(?s)print \d+ results\..*\d+ are not comparable", said, text)
     write_atomically(readme, text)
 
 
 def _renew_advice(readme, found):
     """Write the advised metrics of tasks into the README's table."""
-    rows = ["|task|ask for|looser limit|its balanced accuracy|for heads, beams, others|"]
-    rows.append("|---|---|---|---|---|")
+    rows = ["|task|ask for|balanced accuracy|", "|---|---|---|"]
     found = found[found["advised"] == "yes"]
     for row in found.itertuples():
         one = METRICS[row.method]
         end = {"less": "at most", "more": "at least"}[one.better]
-        nine = f"{end} {row.nine_of_ten:.2g} {one.unit}"
-        nine = nine if row.nine_of_ten == row.nine_of_ten else "no limit"
+        known = row.nine_of_ten == row.nine_of_ten
+        nine = f"{end} {row.nine_of_ten:.2g} {one.unit}" if known else "no limit"
         score = f"{row.balanced:.2f} ({row.low:.2f} to {row.high:.2f})"
-        rows.append(f"|{row.words}|`{row.method}` {nine}|{row.limit:.2g}|{score}|{row.limits}|")
+        rows.append(f"|{row.words}|`{row.method}` {nine}|{score}|")
     text = readme.read_text(encoding="utf-8")
     text = re.sub(r"\|task\|ask for(?:[^\n]+\n)+", "\n".join([*rows, ""]), text)
-    lost = {"chooses": found["balanced"] - found["nested"]}
-    lost["elsewhere"] = found["beside"] - found["elsewhere"]
-    for word, less in lost.items():
-        text = re.sub(rf"({word}[^.]* at most )\d\.\d+", rf"\g<1>{less.max():.2f}", text)
+    less = (found["beside"] - found["elsewhere"]).max()
+    text = re.sub(r"(elsewhere it falls by at most )\d\.\d+", rf"\g<1>{less:.2f}", text)
     write_atomically(readme, text)
 
 
