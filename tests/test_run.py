@@ -13,6 +13,7 @@ import pytest
 from conftest import spoiled
 from matplotlib.figure import Figure
 from overlaps import overlapping_texts
+from PIL import Image
 
 from mmqa_lab import plots
 from mmqa_lab.published import ledger
@@ -192,6 +193,20 @@ def test_figures_are_equal_to_the_byte(run):
         plt.close(figure)
         contents.append([(run.folder / f"points.{e}").read_bytes() for e in ("pdf", "svg", "png")])
     assert contents[0] == contents[1]
+
+
+@plots.style()
+@pytest.mark.parametrize("size", ["quick", "middle"])
+def test_a_run_that_is_not_full_writes_a_png_for_the_screen(run, size):
+    write_record(run.folder, read_record(run.folder) | {"size": size})
+    figure, _ = plots.subplots(width="double", height_mm=40)
+    again = Run("example", parameters={})
+    again.save_figure(figure, "points", seen="Nothing.")
+    plt.close(figure)
+    assert {path.suffix for path in again.folder.glob("points.*")} == {".png", ".csv"}
+    picture = Image.open(again.folder / "points.png")
+    assert picture.size[0] == pytest.approx(178 / 25.4 * 150, abs=1)  # more than a page shows
+    assert picture.text["Title"] == "Nothing."
 
 
 def drawn():

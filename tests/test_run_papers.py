@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from mmqa_lab import commands, plots
-from mmqa_lab.run import Run, papers
+from mmqa_lab.run import Run, papers, read_record, write_record
 from mmqa_lab.run.papers import make_paper
 from mmqa_lab.run.quotes import quoted_name, values_tex, values_typ
 from mmqa_lab.studies import STUDIES, chosen, notebooks_folder
@@ -89,9 +89,14 @@ def test_a_skeleton_compiles_and_follows_its_run(stem, tmp_path, monkeypatch):
 
 def test_what_is_missing_is_said(tmp_path, monkeypatch):
     (study,) = chosen(["mimic"])
-    with pytest.raises(FileNotFoundError, match=r"no run to its end\. Must have one, as after"):
+    with pytest.raises(FileNotFoundError, match=r"no full run to its end\. Must have one, as"):
         papers.new_paper(tmp_path / "mine", study, tmp_path)
     study_run(tmp_path / "results", monkeypatch)
+    record = read_record(tmp_path / "results" / "mimic")
+    write_record(tmp_path / "results" / "mimic", record | {"size": "middle"})
+    with pytest.raises(FileNotFoundError, match=r"no full run"):  # its figures are of the screen
+        papers.new_paper(tmp_path / "mine", study, tmp_path / "results")
+    write_record(tmp_path / "results" / "mimic", record)
     source = papers.new_paper(tmp_path / "mine", study, tmp_path / "results")
     source.write_text(source.read_text() + '\n#fig("mimic", "gone")\n')
     with pytest.raises(FileNotFoundError, match=r"gone\.svg of the study mimic is not there"):

@@ -180,9 +180,10 @@ def studies(
     with own_folder(folder, ours=ours):
         print(f"Results, as they arrive: {folder / 'index.html'}", flush=True)
         workers = min(workers or _fitting_workers(), len(wanted))
-        known = {} if quick else notebooks.stored_seconds(notebooks_folder())
+        known = notebooks.stored_seconds(notebooks_folder())
         share = 1 if size == "full" else 0.7  # measured
-        if left := sum(known.get(study.stem, 0) for study in wanted) * share:
+        left = sum(known.get(study.stem, 0) for study in wanted) * share
+        if left and not quick:
             slower = notebooks.machine_speed()
             estimate = f"About {left * slower / workers / 60:.0f} minutes: this machine takes "
             print(f"{estimate}{slower:.1f} times as long as that of the stored runs.", flush=True)

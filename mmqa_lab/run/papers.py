@@ -45,8 +45,8 @@ def make_paper(folder: str | os.PathLike, results: str | os.PathLike) -> Path:
     folder : path
         Has ``paper.typ`` and, in ``from_runs/``, the files of runs that it quotes.
     results : path
-        Folder of results. What a run to its end has written there replaces the kept files first;
-        runs that are not there leave the kept ones.
+        Folder of results. What a full run to its end has written there replaces the kept files
+        first; runs that are not there leave the kept ones.
 
     Returns
     -------
@@ -95,7 +95,7 @@ def _bring(source, results):
     """Bring the files that a paper quotes from runs to its folder; those of no run stay."""
     for study, name in quoted_files(source.read_text(encoding="utf-8")):
         fresh, kept = results / study / name, source.parent / RUNS / study / name
-        if read_record(fresh.parent).get("failure", "no run") == "" and fresh.is_file():
+        if _is_full(read_record(fresh.parent)) and fresh.is_file():
             brought = partial(shutil.copyfile, fresh)
             if fresh.suffix == ".csv":  # six digits: a paper and its folder stay small
                 brought = pd.read_csv(fresh).to_csv(index=False, float_format="%.6g")
@@ -117,7 +117,7 @@ def new_paper(
         A new or empty folder.
     study : mmqa_lab.studies.Study
     results : path
-        Folder of results with a run of the study.
+        Folder of results with a full run of the study.
     latex : bool
         For LaTeX in place of Typst.
 
@@ -129,16 +129,16 @@ def new_paper(
     Raises
     ------
     FileNotFoundError
-        If the study has no run to its end there.
+        If the study has no full run to its end there.
     ValueError
         If the folder has files.
     """
     folder, ran = Path(folder), Path(results) / study.stem
     refuse(folder.exists() and any(folder.iterdir()), f"folder {folder}", "not empty", "new")
     record = read_record(ran)
-    if record.get("failure", "no run") != "":
-        must = f"Must have one, as after mmqa studies {study.stem}."
-        raise FileNotFoundError(f"Invalid results {ran}: no run to its end. {must}")
+    if not _is_full(record):
+        must = f"Must have one, as after mmqa studies {study.stem} --full."
+        raise FileNotFoundError(f"Invalid results {ran}: no full run to its end. {must}")
     ending = "tex" if latex else "typ"
     target = folder / f"paper.{ending}"
     write_atomically(target, _skeleton(f"skeleton.{ending}", study, record, ran))
@@ -146,6 +146,15 @@ def new_paper(
         write_atomically(folder / name, partial(shutil.copyfile, TEMPLATES / "paper" / name))
     _bring(target, Path(results))
     return target
+
+
+def _is_full(record):
+    """Whether a run came to its end and is not of a smaller size, whose figures are none of print.
+
+    >>> _is_full({"failure": "", "size": "middle"}), _is_full({"failure": "", "size": "full"})
+    (False, True)
+    """
+    return record.get("failure", "no run") == "" and record.get("size") == "full"
 
 
 def _skeleton(name, study, record, ran):

@@ -26,6 +26,7 @@ from IPython.display import Markdown, display
 from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon, Rectangle
+from matplotlib_inline.backend_inline import set_matplotlib_formats
 
 from mmqa_lab import __version__
 from mmqa_lab._checks import refuse
@@ -36,10 +37,8 @@ from mmqa_lab.plots import finish_figure, laid_out, say_kind
 from mmqa_lab.published.ledger import entries, verdicts
 from mmqa_lab.run.quotes import as_latex, quoted_name, values_tex, values_typ
 
-__all__ = [
-    "RECORD", "Run", "new_record", "parameter_names", "read_record", "verdict", "write_record",
-]  # fmt: skip
-
+__all__ = ["RECORD", "Run", "new_record", "parameter_names", "read_record", "verdict"]
+__all__ += ["write_record"]
 
 # Formats of figures, with what is left out so that equal runs give equal bytes.
 FORMATS = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}}
@@ -53,7 +52,6 @@ LONGEST_LATEX = 60
 NUMBER_KINDS = ("published", "predicted", "fitted", "measured")
 
 RECORD = "run.json"
-
 UNFINISHED = "running, or stopped before its end"
 
 # A file that :func:`mmqa_lab.io.write_atomically` was writing when it was killed.
@@ -117,6 +115,8 @@ class Run:
         if get_ipython() is not None:
             pd.set_option("display.max_colwidth", None, "display.float_format", digits)
             get_ipython().events.callbacks["post_execute"].insert(0, _finish_shown)
+            if self._record["size"] != "full":  # a tight border takes another drawing
+                set_matplotlib_formats("png", bbox_inches=None)
 
     def save_table(self, frame: pd.DataFrame, name: str, *, kind: str = "") -> None:
         """Write a DataFrame as ``<name>.csv`` and, for a paper, as ``<name>.tex``.
@@ -157,13 +157,13 @@ class Run:
     ) -> None:
         """Write a matplotlib figure as PDF, SVG and PNG; equal runs give equal bytes.
 
-        The panels of the figure get letters. ``data`` is a DataFrame of the numbers shown, written
-        as ``<name>.csv``, by default the table of this name, or what is drawn. The kind of the
-        numbers is ``kind``, the kind of ``data``, or the kind of the table of this name. It stands
-        in the lower right corner unless the texts of the figure state it. ``seen`` says in a
-        sentence what is seen, and of how many. With the kind it is the caption, shown in a
-        notebook, kept with the licence in ``captions.csv``, and the text for readers without the
-        picture.
+        A run that is not full writes a PNG for the screen. The panels of the figure get letters.
+        ``data`` is a DataFrame of the numbers shown, written as ``<name>.csv``, by default the
+        table of this name, or what is drawn. The kind of the numbers is ``kind``, the kind of
+        ``data``, or the kind of the table of this name. It stands in the lower right corner unless
+        the texts of the figure state it. ``seen`` says in a sentence what is seen, and of how many.
+        With the kind it is the caption, shown in a notebook, kept with the licence in
+        ``captions.csv``, and the text for readers without the picture.
         """
         _check_name(name)
         if name not in self._kinds or data is not None:
@@ -174,10 +174,11 @@ class Run:
         said = all(word in seen for word in re.findall(r"\w+", kind))
         caption = seen if said else f"{seen} Numbers: {kind}."
         with laid_out(figure):
-            quick = self._record["size"] == "quick"  # a first look, not for a paper
-            for form, details in ({"png": FORMATS["png"]} if quick else FORMATS).items():
-                details = details | {"Title": caption}
-                self._write(f"{name}.{form}", functools.partial(figure.savefig, metadata=details))
+            full = self._record["size"] == "full"
+            look = {} if full else {"dpi": "figure"}
+            for form in FORMATS if full else ["png"]:
+                look["metadata"] = FORMATS[form] | {"Title": caption}
+                self._write(f"{name}.{form}", functools.partial(figure.savefig, **look))
         self._record["figures"][name] = caption
         rows = pd.DataFrame(self._record["figures"].items(), columns=["figure", "caption"])
         self._write("captions.csv", rows.assign(licence="CC BY 4.0"))
