@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mmqa_lab._checks import check_together
 
-__all__ = ["across", "rotations", "turned"]
+__all__ = ["across", "fixed", "rotations", "turned"]
 
 
 def rotations(roll: ArrayLike, pitch: ArrayLike, heading: ArrayLike) -> np.ndarray:
@@ -27,6 +29,18 @@ def rotations(roll: ArrayLike, pitch: ArrayLike, heading: ArrayLike) -> np.ndarr
         [-cp * sr, sp, cp * cr],
     ]
     return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
+@lru_cache(maxsize=256)
+def fixed(roll: float, pitch: float, heading: float) -> np.ndarray:
+    """Return :func:`rotations` of three angles, worked out once and not to be written.
+
+    >>> (fixed(0.0, 0.0, 0.0) == np.eye(3)).all().item()
+    True
+    """
+    found = rotations(roll, pitch, heading)
+    found.flags.writeable = False
+    return found
 
 
 def turned(*, z: ArrayLike = 0.0, x: ArrayLike = 0.0, y: ArrayLike = 0.0) -> np.ndarray:

@@ -260,9 +260,9 @@ def check_together(*, missing=False, to_first=False, **arrays):
     found = [real_array(one, names[key]).astype(np.float64) for key, one in arrays.items()]
     first, shape = next(iter(names.values())), found[0].shape
     for name, array in zip(names.values(), found, strict=True):
-        together = None
+        together = shape if array.shape == shape else None
         with contextlib.suppress(ValueError):
-            together = np.broadcast_shapes(shape, array.shape)
+            together = together or np.broadcast_shapes(shape, array.shape)
         if together is None or (to_first and together != shape):
             beside = f"{name} of shape {array.shape} beside {first} of shape {shape}"
             raise ValueError(f"Invalid {beside}. Must go together.")
@@ -273,6 +273,8 @@ def check_together(*, missing=False, to_first=False, **arrays):
 def _check_finite(array, name, missing):
     """Raise where an array has infinite numbers, or NaN that do not stand for what is missing."""
     bad = np.isinf(array) if missing else ~np.isfinite(array)
+    if not bad.any():
+        return  # without the words
     must = "finite, or NaN where not known" if missing else "finite"
     refuse(bad.any(), name, f"{bad.sum()} of {array.size} not finite", must)
 

@@ -19,7 +19,7 @@ from mmqa_lab._checks import check_number, check_points, check_positive, check_v
 from mmqa_lab._compiled import njit
 from mmqa_lab._streams import stream
 from mmqa_lab.cloud import Cloud
-from mmqa_lab.rotations import across, rotations
+from mmqa_lab.rotations import across, fixed, rotations
 from mmqa_lab.simulate.scenes import Scene
 from mmqa_lab.simulate.trajectories import Trajectory
 
@@ -131,12 +131,12 @@ class Scanner:
     @cached_property
     def mounting(self) -> np.ndarray:
         """Assumed rotation (3, 3) from the scanner's frame to the vehicle's."""
-        return rotations(0.0, *np.radians([self.tilt_deg + 90 * self.upright, -self.heading_deg]))
+        return fixed(0.0, *np.radians([self.tilt_deg + 90 * self.upright, -self.heading_deg]))
 
     @cached_property
     def true_mounting(self) -> np.ndarray:
         """Rotation with the boresight error, (3, 3)."""
-        return rotations(*np.radians(self.boresight_deg)) @ self.mounting
+        return fixed(*np.radians(self.boresight_deg)) @ self.mounting
 
     @property
     def plane_normal(self) -> np.ndarray:
