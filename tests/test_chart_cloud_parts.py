@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import median_abs_deviation, norm
 
 from mmqa_lab.chart_cloud import chart_polygon, doubts, evaluate_cloud, inside_polygon
-from mmqa_lab.chart_cloud.evaluate import outline_on
+from mmqa_lab.chart_cloud.evaluate import bare_chart, outline_on
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.planes import CONSISTENT_SCALE, fit_plane, sigma_mad
 from mmqa_lab.rotations import turned
@@ -21,6 +21,21 @@ def sill(rng, share):
     x, y = rng.uniform(0, 1, (2, 6000)) * [[4], [1.4]]
     proud = 0.06 * (y < 1.4 * share)
     return np.stack([x, 0.01 * rng.standard_normal(6000) + proud, y], axis=1)
+
+
+@pytest.mark.parametrize("axes", [None, "principal", "horizontal", 30.0])
+def test_a_bare_chart_lacks_the_remarks_alone(rng, axes):
+    points = sill(rng, 0.07)
+    corners = np.array([[0.5, 0, 0], [3, 0, 0], [3, 0, 1.2], [0.5, 0, 1.2]])
+    whole, bare = (
+        evaluate_cloud(points, polygon=corners, axes=axes),
+        bare_chart(points, corners, axes=axes),
+    )
+    assert whole.remarks
+    assert bare.remarks == ()
+    figures = whole.to_frame().drop(columns="remarks"), bare.to_frame().drop(columns="remarks")
+    pd.testing.assert_frame_equal(*figures, check_exact=True)
+    assert np.array_equal(whole.xy, bare.xy)
 
 
 def test_a_part_that_turns_the_plane_is_said_with_both_figures(rng):
