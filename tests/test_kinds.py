@@ -298,7 +298,8 @@ LEFT_OUT = {
     "take numbers or names one by one, which _checks refuses": """
         charts.how_to_use charts.imaging_chart charts.point_chart charts.reflectance
         chart_image.chart_site chart_image.quality_index
-        radiometry.relative_exposure published.number published.raw published.table rotations.turned
+        radiometry.relative_exposure published.number published.raw published.table rotations.fixed
+        rotations.turned
         repeatability.strip_law samples.fetch samples.has_real samples.path samples.real_path
         samples.road_patch_heads scan_pattern.detail_size scan_pattern.explain_error
         scan_pattern.largest_speed scan_pattern.propagate scan_pattern.scan_lattice
