@@ -199,7 +199,8 @@ class SurfaceTool(SelectionTool):
         self._scene_dots.set_facecolor(colours)
         shown = [number for _, number in self._list.options]
         self._list.value = plane if plane in shown else None
-        self._scene.axes[0].set_title(f"{self.name}, plane {plane}")
+        kind = _short(self.planes["kind"][self.row])
+        self._scene.axes[0].set_title(f"{self.name}, plane {plane}: {kind}")
         self._scene.canvas.draw_idle()
 
     def _draw_scene(self):
