@@ -88,9 +88,9 @@ def read(cloud, *, density="hull", spread="sigma_mad", scale=PAPER_SCALE, margin
 
 
 METHODS = {
-    "Appendix A": read,
-    "section 3.3": partial(read, density="polygon", scale=CONSISTENT_SCALE),
-    "std": partial(read, spread="std"),
+    "hull (Appendix A)": read,
+    "polygon (section 3.3)": partial(read, density="polygon", scale=CONSISTENT_SCALE),
+    "hull, std": partial(read, spread="std"),
     "whole chart": partial(read, margins=0.0),
 }
 """Readings of the same chart. They differ in area, estimator or selection. Section 3.3 prints
