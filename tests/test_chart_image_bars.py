@@ -128,7 +128,8 @@ LEVELS = {2.5: (30, 60, 160, 400), 1.0: (30, 60, 160, 800), 20.0: (30, 50, 50), 
 
 @pytest.mark.parametrize(("pixel_mm", "levels"), LEVELS.items())
 def test_alignment_goes_from_coarse_cells_to_those_of_the_pixels(pixel_mm, levels, monkeypatch):
-    asked, aligned, bent = [], [], []
+    asked, aligned, bent, toned = [], [], [], []
+    most = 1.0
 
     class Level:
         def __init__(self, image, layout, chart_map, along):
@@ -140,7 +141,11 @@ def test_alignment_goes_from_coarse_cells_to_those_of_the_pixels(pixel_mm, level
             return self
 
         def correlation(self, _):
-            return -abs(self.sigma - 2.0)
+            return most - np.log(self.sigma / 2.3) ** 2
+
+        def as_seen(self, _):
+            toned.append(self.sigma)
+            return self
 
         def aligned(self, chart_map):
             aligned.append((self.along, self.sigma))
@@ -152,12 +157,34 @@ def test_alignment_goes_from_coarse_cells_to_those_of_the_pixels(pixel_mm, level
     found, correlation = alignment._aligned(None, CHART, view, bent=True)
     assert asked == [*levels]
     first = [one for one in levels[:-1] if one > 30]
-    assert aligned == [*((one, None) for one in first), (levels[-1], None), (levels[-1], 2.0)]
+    assert aligned[:-1] == [*((one, None) for one in first), (levels[-1], None)]
+    # of 1.2, 2.0 and 3.2 the middle one is said, and the top of the parabola is used
+    assert aligned[-1] == (levels[-1], pytest.approx(2.3))
+    assert toned == [pytest.approx(2.3)]
     assert bent == [*levels]
-    assert (found.blur_px, correlation) == (2.0, 0)
+    assert (found.blur_px, correlation) == (2.0, pytest.approx(1))
     bent.clear()
+    toned.clear()
+    most = 0.81  # of it .02 is lost at 2.0: too little, something stands before the chart
     alignment._aligned(None, CHART, view, bent=False)
-    assert bent == []
+    assert bent == toned == []
+    assert aligned[-1] == (levels[-1], 2.0)
+
+
+@pytest.mark.parametrize(
+    ("best", "said", "used"),
+    [(0.3, 0.6, 0.6), (0.8, 0.6, 0.6), (1.0, 1.2, 1.0), (2.7, 3.2, 2.7), (9.0, 3.2, 3.2)],
+)
+def test_a_point_spread_is_the_top_of_a_parabola_and_none_beyond_those_tried(best, said, used):
+    tried = []
+    level = SimpleNamespace(
+        behind=lambda sigma: tried.append(sigma) or level,
+        correlation=lambda _: -(np.log(tried[-1] / best) ** 2),
+    )
+    assert alignment._point_spread(level, None) == (said, pytest.approx(used))
+    assert tried == [0.6, 1.2, 2.0, 3.2]
+    level.correlation = lambda _: tried[-1]  # no top
+    assert alignment._point_spread(level, None)[0] == 3.2
 
 
 @pytest.mark.parametrize(("shift", "turn"), [((2.0, -1.5), 0.0), ((0.0, 0.0), 0.004)])

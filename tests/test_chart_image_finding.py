@@ -308,20 +308,28 @@ def test_maps_of_a_chart_keep_its_sides_and_turn_up_to_down(rng):
 
 def test_local_light_is_taken_out_by_means_and_spreads(rng):
     tones = np.float32(gaussian_filter(rng.random((80, 90)), 1.0))
-    local = alignment._around(tones)
+    alike = np.ones_like(tones)
+    local = alignment._around(tones, alike)
     inner = slice(20, -20), slice(20, -20)
     # 6 hundredths of 90 cells
     assert local[inner] == pytest.approx(gaussian_filter(tones, 5.4)[inner], abs=2e-4)
-    found = alignment._standardised(tones)
+    found = alignment._standardised(tones, alike)
     off = tones - gaussian_filter(tones, 5.4, mode="mirror")
     spread = np.sqrt(gaussian_filter(off**2, 5.4, mode="mirror"))
     assert found[inner] == pytest.approx((off / spread)[inner], abs=0.05)
     faint = np.float32(np.where(np.arange(90) < 45, 1.0, 0.001) * rng.standard_normal((80, 90)))
-    assert np.abs(alignment._standardised(faint)[:, 85:]).max() < 0.1
+    assert np.abs(alignment._standardised(faint, alike)[:, 85:]).max() < 0.1
     wide = np.float32(np.tile(np.sin(np.arange(400) / 30), (300, 1)))
     small = cv2.resize(cv2.resize(wide, (100, 100), interpolation=cv2.INTER_AREA), (400, 300))
     reach = gaussian_filter(np.float64(small), (18, 24))
-    assert alignment._around(wide)[150, 100:300] == pytest.approx(reach[150, 100:300], abs=0.02)
+    local = alignment._around(wide, np.ones_like(wide))
+    assert local[150, 100:300] == pytest.approx(reach[150, 100:300], abs=0.02)
+    # what hardly counts is hardly seen, in means and spreads
+    other, counts = tones.copy(), alike.copy()
+    other[:, :30], counts[:, :30] = 2.0, 1e-6
+    local, spread = alignment._local(other, counts)
+    assert local[20:-20, 35:70] == pytest.approx(tones[:, 30:].mean(), abs=0.05)
+    assert 0 < spread[inner].max() < 0.3
     one, two = rng.normal(0, 2.5, (2, 40, 40))
     two += one
     trusted = rng.random((40, 40)) < 0.6

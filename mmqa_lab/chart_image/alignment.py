@@ -16,6 +16,8 @@ from numpy.typing import ArrayLike
 from mmqa_lab._checks import check_image, refuse
 from mmqa_lab.chart_image.maps import Bend, ChartMap, mirrored, plain, unit
 from mmqa_lab.charts import Layout, LinePairs, reflectance
+from mmqa_lab.charts.draw import LUMINANCE
+from mmqa_lab.charts.elements import BLACK, WHITE
 
 __all__ = [
     "BLOCKS", "CERTAIN", "CLEARLY", "MIDDLE", "SIGMAS_PX", "SMALLEST_CORRELATION", "SPREADS",
@@ -37,6 +39,9 @@ CLEARLY = 0.1
 SIGMAS_PX, RIM_SIGMAS = (0.6, 1.2, 2.0, 3.2), 2.0
 """Point spreads of the print, pixel included, in the alignment: the one that fits best counts. As
 far as so many of it reach in from the chart's edge, nothing counts."""
+
+SLIGHT = 1e-4
+"""Weight, in local means and spreads, of what does not count."""
 
 MIDDLE, FINEST = 160, 800
 """Cells along a side, on the way and at most."""
@@ -140,10 +145,25 @@ def _aligned(image, layout, chart_map, *, bent):
     chart_map = straight(chart_map, layout)
     level = Level(image, layout, chart_map, max(finest, 12))
     chart_map, _ = level.aligned(chart_map)
-    sigma = max(SIGMAS_PX, key=lambda sigma: level.behind(sigma).correlation(chart_map))
-    chart_map, _ = level.behind(sigma).aligned(chart_map)
+    sigma, top = _point_spread(level, chart_map)
+    if level.behind(sigma).correlation(chart_map) > CERTAIN:  # nothing large stands before it
+        level.behind(top).as_seen(chart_map)
+    chart_map, _ = level.aligned(chart_map)
     chart_map = straight(with_bend(level, chart_map) if bent else chart_map, layout)
     return replace(chart_map, blur_px=sigma), level.correlation(chart_map)
+
+
+def _point_spread(level, chart_map):
+    """The point spread that fits best, and where between its neighbours the best one would lie."""
+    fits = [level.behind(sigma).correlation(chart_map) for sigma in SIGMAS_PX]
+    best = int(np.argmax(fits))
+    if best == 0:
+        return SIGMAS_PX[0], SIGMAS_PX[0]
+    # the top of a parabola through three
+    around = slice(low := min(best - 1, len(fits) - 3), low + 3)
+    curve, slope, _ = np.polyfit(np.log(SIGMAS_PX[around]), fits[around], 2)
+    top = np.exp(-slope / (2 * curve)) if curve < 0 else SIGMAS_PX[best]
+    return SIGMAS_PX[best], float(np.clip(top, SIGMAS_PX[0], SIGMAS_PX[-1]))
 
 
 def _pixel_mm(layout, chart_map):
@@ -171,29 +191,74 @@ class Level:
         self.first, self.last = first, size - 1
         self.print = _print(layout, self.cell)
         self.trusted = _trusted(layout, self.pixel_mm, self.cell, self.print.shape)
+        self.layout, self.least = layout, 1.0
         y, x = (np.indices(self.print.shape) + 0.5) * self.cell
         self.places = np.column_stack([x.ravel(), y.ravel()])
         self.behind(SIGMAS_PX[0])
 
     def behind(self, sigma_px):
         """The level itself, its print as behind a point spread."""
-        blur = np.hypot(sigma_px * self.pixel_mm / self.cell, 0.5)
+        self.blur = np.hypot(sigma_px * self.pixel_mm / self.cell, 0.5)
         # up to there pixels see what is beyond the chart
-        self.rim = int(np.ceil(RIM_SIGMAS * blur))
-        self.printed = _standardised(cv2.GaussianBlur(self.print, (0, 0), blur))
+        self.rim = int(np.ceil(RIM_SIGMAS * self.blur))
+        self.counts = np.ones(self.print.shape, np.float32)
+        rim = min(self.rim, min(self.counts.shape) // 4)
+        for rows in (self.counts, self.counts.T):
+            rows[:rim] = rows[-rim:] = 0
+        return self._blurred()
+
+    def _blurred(self):
+        """The level itself, its print blurred and without its local light."""
+        self.weight = np.maximum(self.counts, self.least)
+        blurred = cv2.GaussianBlur(self.print, (0, 0), self.blur)
+        self.printed = _standardised(blurred, self.weight)
         return self
+
+    def as_seen(self, chart_map):
+        """The level itself, its greys as the photograph shows them: printers print others.
+
+        From now on local means leave out what sees beyond the chart.
+        """
+        self.least = SLIGHT
+        # what is black or white tells which light is which tone
+        weight = np.maximum(self.counts * self._free_of_greys(), SLIGHT)
+        mean, spread = _local(cv2.GaussianBlur(self.print, (0, 0), self.blur), weight)
+        tones = mean + spread * _standardised(self._photograph(chart_map)[0], weight)
+        known, greys = {BLACK: BLACK, WHITE: WHITE}, _greys(self.layout)
+        for tone in greys:
+            plain = (np.abs(self.print - tone) < 1e-3) & (self.counts > 0)
+            depth = cv2.distanceTransform(np.uint8(plain), cv2.DIST_L2, 5)
+            if depth.max() > self.rim / 2:
+                deep = depth >= min(self.rim, 0.8 * depth.max())
+                known[tone] = float(np.clip(np.median(tones[deep]), BLACK, WHITE))
+        # those of letters lie between
+        places, light = zip(*sorted(known.items()), strict=True)
+        known = {tone: float(np.interp(tone, places, light)) for tone in greys}
+        self.print = reflectance(_toned(self.layout, known), cell=self.cell)
+        return self._blurred()
+
+    def _free_of_greys(self):
+        """Cells that no grey reaches, 0 or 1; all, if that leaves less than half of the black."""
+        black = _toned(self.layout, dict.fromkeys(_greys(self.layout), BLACK))
+        greys = np.abs(self.print - reflectance(black, cell=self.cell)) > 1e-3
+        reach = np.ones((2 * self.rim + 1, 2 * self.rim + 1), np.uint8)
+        free = 1 - cv2.dilate(np.uint8(greys), reach)
+        shadow = 1 - self.print
+        return free if (shadow * free).sum() > shadow.sum() / 2 else np.ones_like(free)
 
     def seen(self, chart_map):
         """The photograph as a map puts it, and which cells count."""
+        seen, inside = self._photograph(chart_map)
+        seen = _standardised(seen, self.weight)
+        return seen, (self.trusted * inside * self.counts).astype(np.uint8)
+
+    def _photograph(self, chart_map):
+        """The photograph as a map puts it, and which cells lie within it."""
         pixels = chart_map.pixels(self.places)
-        inside = ((pixels >= 0) & (pixels <= self.last)).all(axis=1).reshape(self.printed.shape)
-        pixels = np.float32(pixels - self.first).reshape(*self.printed.shape, 2)
+        inside = ((pixels >= 0) & (pixels <= self.last)).all(axis=1).reshape(self.print.shape)
+        pixels = np.float32(pixels - self.first).reshape(*self.print.shape, 2)
         how = {"interpolation": cv2.INTER_LINEAR, "borderMode": cv2.BORDER_REPLICATE}
-        seen = _standardised(cv2.remap(self.image, pixels, None, **how))
-        trusted = (self.trusted * inside).astype(np.uint8)
-        rim = min(self.rim, min(trusted.shape) // 4)
-        trusted[:rim] = trusted[-rim:] = trusted[:, :rim] = trusted[:, -rim:] = 0
-        return seen, trusted
+        return cv2.remap(self.image, pixels, None, **how), inside
 
     def correlation(self, chart_map):
         """Of print and photograph."""
@@ -230,19 +295,62 @@ def _print(layout, cell):
     return reflectance(layout, cell=cell)
 
 
-def _standardised(tones):
+def _greys(layout):
+    """The tones of a chart between black and white, those of colours too."""
+    return {_light(tone) for one in layout.elements for tone in _own(one)} - {BLACK, WHITE}
+
+
+def _own(element):
+    """The tones of an element and of what is around it."""
+    tones = [getattr(element, name) for name in ("tone", "ground") if hasattr(element, name)]
+    return tones + [tone for row in getattr(element, "rows", ()) for tone in row]
+
+
+def _light(tone):
+    """The reflectance of a grey or a colour."""
+    return float(np.dot(LUMINANCE, tone)) if isinstance(tone, tuple) else tone
+
+
+def _toned(layout, known):
+    """A layout with other tones in place of some."""
+
+    def other(tone):
+        return known.get(_light(tone), tone)
+
+    elements = []
+    for one in layout.elements:
+        tones = {
+            name: other(getattr(one, name)) for name in ("tone", "ground") if hasattr(one, name)
+        }
+        if hasattr(one, "rows"):
+            tones["rows"] = tuple(tuple(map(other, row)) for row in one.rows)
+        elements.append(replace(one, **tones))
+    return replace(layout, elements=tuple(elements))
+
+
+def _standardised(tones, weight):
     """Tones less their local mean, in local spreads."""
-    off = tones - _around(tones)
-    spread = np.sqrt(np.maximum(_around(off**2), 0))
-    return off / np.maximum(spread, 0.1 * spread.max() + 1e-12)
+    mean, spread = _local(tones, weight)
+    return (tones - mean) / spread
 
 
-def _around(tones):
-    """Local means of an image of the chart; they change slowly."""
+def _local(tones, weight):
+    """Local means and spreads."""
+    mean = _around(tones, weight)
+    spread = np.sqrt(np.maximum(_around((tones - mean) ** 2, weight), 0))
+    return mean, np.maximum(spread, 0.1 * spread.max() + 1e-12)
+
+
+def _around(tones, weight):
+    """Local weighted means of an image of the chart; they change slowly."""
     size = [min(side, LIGHT_CELLS) for side in tones.shape[::-1]]
-    small = cv2.resize(tones, size, interpolation=cv2.INTER_AREA)
-    small = cv2.GaussianBlur(small, (0, 0), LIGHT * size[0])
-    return cv2.resize(small, tones.shape[::-1], interpolation=cv2.INTER_LINEAR)
+
+    def smooth(part):
+        small = cv2.resize(part, size, interpolation=cv2.INTER_AREA)
+        return cv2.GaussianBlur(small, (0, 0), LIGHT * size[0])
+
+    local = smooth(tones * weight) / smooth(weight)
+    return cv2.resize(local, tones.shape[::-1], interpolation=cv2.INTER_LINEAR)
 
 
 def _trusted(layout, pixel_mm, cell, shape):
