@@ -100,7 +100,7 @@ def test_each_check_can_fail(comparison):
         "fits": pd.DataFrame(rows, columns=names).set_index(names[:3]),
         "pulses": 7000.0,
         "before": 6.0,
-        "after": 0.6,
+        "after": 1.6,
         "pitch": 38.0,
         "capped": 3390.0,
         "repeats": 4,
