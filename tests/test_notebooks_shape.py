@@ -57,6 +57,8 @@ def faults(notebook):
         results = "results" in cell.metadata.get("tags", [])
         if bool(books) != results or folded < results:
             yield f"{here}: bookkeeping has cells of its own, tagged results and folded"
+        if "solution" in cell.metadata.get("tags", []) and not folded:
+            yield f"{here}: a solution is folded, so that a reader may try before"
         for call in books:
             given = {one.arg: one.value for one in call.keywords}
             if call.func.attr == "save_figure":
