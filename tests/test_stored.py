@@ -194,13 +194,18 @@ def test_the_readme_is_short_and_has_the_stored_answers():
         assert f"{best['balanced']:.2f} against {density['balanced']:.2f}" in text
         assert (density["behind_low"] > 0) == shown
     real = pd.read_csv(notebooks_folder() / "paper/from_runs/fitness/real_ranks.csv")
+    asked_of_real = ("f", "noise_of_a_mean", "e95")
     potholes = real[real["task"] == "pothole_percent"]
     assert len(potholes) == (potholes["e95"] > potholes["noise_of_a_mean"]).sum() == 4
-    ahead = [(real["density"] > real[name]).sum() for name in ("noise_of_a_mean", "e95")]
+    of_f, of_noise, of_e95 = ((real["density"] > real[name]).sum() for name in asked_of_real)
     line = (
-        f"density orders {ahead[0]} of {len(real)} rankings better than the noise of a mean, and "
+        f"density orders {of_f} of {len(real)} rankings better than f, {of_noise} better than the"
     )
-    assert f"{line}{ahead[1]} better than e95." in " ".join(text.split())
+    assert f"{line} noise of a mean, and {of_e95} better than e95." in " ".join(text.split())
+    wires = kinds[(kinds["task"] == "wire_m") & (kinds["method"] == "disc_q05")]
+    wires = wires.loc[wires["scanners"] != "pooled", "limit"]
+    assert round(wires.max() / wires.min()) == 12
+    assert "for wires twelvefold" in text
     assert f"{counts['fitted']} served to fit, and {counts['not comparable']} are not" in text
     measured = (notebooks_folder().parent / "tests/benchmarks/RESULTS.md").read_text("utf-8")
     row = r"^\| 0\.[45] \| (\d+)/(\d+), \d+/\d+ \| \d+/\d+, (\d+)/(\d+) \|"
