@@ -75,7 +75,7 @@ def test_each_check_can_fail():
     }
     assert spoiled("anisotropy", whole) == []
     changes = {
-        "f has its closed form": {"worst": 5.0},
+        "On lattices, scan lines": {"worst": 5.0},
         "f of noisy scan lines": {"noisy": pd.Series({0.0: 10.8, 45.0: 10.8})},
         "f does not see": {"uneven": 1.3},
         "g orders": {"pair": ranks[::-1]},

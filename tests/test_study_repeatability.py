@@ -97,6 +97,7 @@ def test_each_check_can_fail():
         "dense": pd.Series([40.0, 60.0]),
         "worst": pd.Series({"covered": 0.93, "figure": "f", "pattern": "poisson"}),
         "least": 0.86,
+        "others": pd.DataFrame({"covered": [0.93, 0.99]}),
         "coverage_scans": 100,
         "ratio": pd.Series([1.0, 1.05]),
         "ratio_mean": 1.02,
@@ -105,10 +106,10 @@ def test_each_check_can_fail():
     }
     assert spoiled("repeatability", whole) == []
     changes = {
-        "Systems and distances": {"of_selections": parts + 0.2},
-        "Five simulated selections of B at 10 m: precision": {"agrees": False},
+        "In every figure": {"of_selections": parts + 0.2},
+        "Five simulated selections of B at 10 m: sigma_MAD": {"agrees": False},
         "Five simulated selections of B at 10 m: the density": {"dense": pd.Series([95.0, 99.0])},
-        "The intervals": {
+        "All intervals": {
             "worst": pd.Series({"covered": 0.6, "figure": "f", "pattern": "poisson"})
         },
         "The spread of the density": {"ratio_mean": 1.55},
