@@ -110,12 +110,13 @@ def test_each_check_can_fail():
     whole |= {"steep": 2.0, "flat": 0.1, "trends": slopes, "off": {False: 0.001, True: 0.001}}
     whole |= {"passed": True, "covered": pd.Series([True]), "largest": 1.1, "rest": rest}
     whole |= {"before": 10 * rest, "mean": {"I": 30.0, "II": 13.0}} | real
-    whole |= {"held": 10, "of_drives": 10}
+    whole |= {"held": 10, "of_drives": 10, "strict": 9, "strict_constant": 8}
     assert spoiled("test_field", whole) == []
     changes = {
         "The root of squares": {"agree": 0.4},
         "Simulated heights fall": {"held": 7},
         "Sheets predict": {"by_sheets": 8},
+        "Sheets predict heights": {"strict": 8},
         "A wrong roll": {"steep": 0.3},
         "Two drives determine": {"passed": False},
         "Calibration makes": {"largest": 3.0},
