@@ -49,9 +49,12 @@ def noise_of_a_mean(chart):
     return chart.sigma_mad_mm / np.sqrt(chart.pattern.density)
 
 
-@metric("1", "less", PFEIFER, "d_4 / d_1", "Holes, density; it depends on the axes of quadrants.")
+@metric(
+    "1", "less", PFEIFER, "d_4 / d_1",
+    "Holes, density; it is 1 on a grid and 3.26 at random, and depends on the axes of quadrants.",
+)  # fmt: skip
 def f(chart):
-    """Inhomogeneity."""
+    """Median distance to the farthest of four quadrant neighbours over that to the nearest."""
     return chart.f
 
 
@@ -103,17 +106,19 @@ def roughness(chart):
 @metric(
     "mm2", "less", "Kornilov et al. 2022, map-metrics, arXiv:2104.14247 (radius 10 cm)",
     r"\mathrm{mean}\,\lambda_\mathrm{min}(\Sigma)",
-    "Errors over more than 10 cm; places with fewer than 5 points.",
+    "Errors over more than 10 cm; places with fewer than 5 points. Thin clouds look less noisy: a "
+    "plane through few points takes noise away.",
 )  # fmt: skip
 def mpv(chart):
-    """Mean plane variance: of the smallest eigenvalue of local covariances."""
+    """Mean plane variance: the mean of the smallest eigenvalues of local covariances."""
     return 1e6 * chart.pattern.local[0][:, 0].mean()
 
 
 @metric(
     "1", "less", "Droeschel and Behnke 2014, doi:10.1109/ICRA.2014.6907651 (radius 10 cm)",
     r"\mathrm{mean}\,\tfrac12 \ln |2 \pi e \Sigma|",
-    "It counts the spread in the plane with the noise across it.",
+    "It counts the spread in the plane with the noise across it. Thin clouds look better: a plane "
+    "through few points takes noise away.",
 )  # fmt: skip
 def mme(chart):
     """Mean map entropy: of local covariances, in m2."""
@@ -178,7 +183,8 @@ def lacunarity(chart):
 
 @metric(
     "1", "less", "Hickernell 1998, doi:10.1090/S0025-5718-98-00894-1; scipy.stats.qmc.discrepancy",
-    r"CD(\text{points in the box of the outline})", "Density; which gaps they are.",
+    r"CD(\text{points in the box of the outline})",
+    "Density; which gaps they are. A grid may look worse than random points.",
 )  # fmt: skip
 def discrepancy(chart):
     """Centred discrepancy from even points."""
