@@ -11,6 +11,7 @@ import os
 import re
 import subprocess
 import time
+from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal, localcontext
 from operator import ne
 from pathlib import Path
 
@@ -256,7 +257,10 @@ def _renew_advice(readme, found):
         one = METRICS[row.method]
         end = {"less": "at most", "more": "at least"}[one.better]
         known = row.nine_of_ten == row.nine_of_ten
-        nine = f"{end} {row.nine_of_ten:.2g} {one.unit}" if known else "no limit"
+        strict = ROUND_CEILING if one.better == "more" else ROUND_FLOOR
+        with localcontext(prec=2, rounding=strict):
+            nine = f"{+Decimal(row.nine_of_ten):f}" if known else ""
+        nine = f"{end} {nine} {one.unit}" if known else "no limit"
         score = f"{row.balanced:.2f} ({row.low:.2f} to {row.high:.2f})"
         rows.append(f"|{row.words}|`{row.method}` {nine}|{score}|")
     text = readme.read_text(encoding="utf-8")

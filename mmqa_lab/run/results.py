@@ -175,7 +175,7 @@ class Run:
         caption = seen if said else f"{seen} Numbers: {kind}."
         with laid_out(figure):
             full = self._record["size"] == "full"
-            look = {} if full else {"dpi": "figure"}
+            look: dict[str, Any] = {} if full else {"dpi": "figure"}
             for form in FORMATS if full else ["png"]:
                 look["metadata"] = FORMATS[form] | {"Title": caption}
                 self._write(f"{name}.{form}", functools.partial(figure.savefig, **look))
