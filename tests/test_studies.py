@@ -117,6 +117,8 @@ def test_notebook_runs_with_small_parameters(study, tmp_path):
     index = (tmp_path / "results" / "index.html").read_text()
     assert study.title in index
     assert f"<b>{answer['short'][:9]}" in index  # the details go on from it
+    stored = pages.stored_answers(notebooks_folder())[study.stem]
+    assert f"<b>Full run:</b> {stored[0][:9]}" in index
     assert "Quick run: " in index
     assert "Quick run: small parameters" in page
     assert all(f'src="{study.stem}/' in part for part in index.split("<img ")[1:])

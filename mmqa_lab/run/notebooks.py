@@ -256,7 +256,7 @@ def _renew_advice(readme, found):
     for row in found.itertuples():
         one = METRICS[row.method]
         end = {"less": "at most", "more": "at least"}[one.better]
-        known = row.nine_of_ten == row.nine_of_ten
+        known = pd.notna(row.nine_of_ten)
         strict = ROUND_CEILING if one.better == "more" else ROUND_FLOOR
         with localcontext(prec=2, rounding=strict):
             nine = f"{+Decimal(row.nine_of_ten):f}" if known else ""
