@@ -1,5 +1,6 @@
 """A part of a surface that stands off the rest is said, and steps of coordinates are no comb."""
 
+import pickle
 import re
 from types import SimpleNamespace
 
@@ -10,7 +11,7 @@ import pytest
 from scipy.stats import median_abs_deviation, norm
 
 from mmqa_lab.chart_cloud import chart_polygon, doubts, evaluate_cloud, inside_polygon
-from mmqa_lab.chart_cloud.evaluate import bare_chart, outline_on
+from mmqa_lab.chart_cloud.evaluate import outline_on
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.planes import CONSISTENT_SCALE, fit_plane, sigma_mad
 from mmqa_lab.rotations import turned
@@ -23,19 +24,12 @@ def sill(rng, share):
     return np.stack([x, 0.01 * rng.standard_normal(6000) + proud, y], axis=1)
 
 
-@pytest.mark.parametrize("axes", [None, "principal", "horizontal", 30.0])
-def test_a_bare_chart_lacks_the_remarks_alone(rng, axes):
+def test_remarks_are_of_the_points_as_they_were_evaluated(rng):
     points = sill(rng, 0.07)
-    corners = np.array([[0.5, 0, 0], [3, 0, 0], [3, 0, 1.2], [0.5, 0, 1.2]])
-    whole, bare = (
-        evaluate_cloud(points, polygon=corners, axes=axes),
-        bare_chart(points, corners, axes=axes),
-    )
-    assert whole.remarks
-    assert bare.remarks == ()
-    figures = whole.to_frame().drop(columns="remarks"), bare.to_frame().drop(columns="remarks")
-    pd.testing.assert_frame_equal(*figures, check_exact=True)
-    assert np.array_equal(whole.xy, bare.xy)
+    read, unread = evaluate_cloud(points), evaluate_cloud(points)
+    assert read.remarks
+    points[:] = 0  # the caller's own array
+    assert pickle.loads(pickle.dumps(unread)).remarks == read.remarks
 
 
 def test_a_part_that_turns_the_plane_is_said_with_both_figures(rng):
@@ -162,12 +156,18 @@ def test_a_part_is_said_with_the_turn_of_the_plane_and_both_sigmas(rng):
     mask, without = doubts.part_off(points, CONSISTENT_SCALE)
     turn = np.degrees(np.arccos(plane.normal @ without.normal))
     both = [1000 * sigma_mad(one.residuals) for one in (plane, without)]
-    (said,) = doubts._part(points, plane, CONSISTENT_SCALE, 0.0)
+    local = np.column_stack([plane.project(points), plane.residuals])
+    (said,) = doubts._part(local, CONSISTENT_SCALE, 0.0)
     assert said == (
         f"{mask.sum()} points ({100 * mask.mean():.2g} %) stand off the others and turn the plane "
         f"by {turn:.2g} degrees: sigma_MAD is {both[0]:.1f} mm with them, {both[1]:.1f} mm without."
     )
-    assert doubts._part(points, without, CONSISTENT_SCALE, 0.0) == ()  # misleads nothing
+    points = sill(rng, 0.02)
+    plane = fit_plane(points)
+    without = doubts.part_off(points, CONSISTENT_SCALE)[1]
+    assert 1 < sigma_mad(plane.residuals) / sigma_mad(without.residuals) < 1.1  # misleads little
+    local = np.column_stack([plane.project(points), plane.residuals])
+    assert doubts._part(local, CONSISTENT_SCALE, 0.0) == ()
 
 
 @pytest.mark.parametrize(("bow_mm", "bent"), [(1.85, False), (2.15, True)])

@@ -185,8 +185,8 @@ def test_an_operator_clicks_once_with_his_error(monkeypatch):
     quality = SimpleNamespace(d_mm=(1, 2, 3, 4), **plain)
     seen = []
     monkeypatch.setattr(repeatability, "operator_polygons", polygons)
-    monkeypatch.setattr(repeatability, "bare_chart", lambda points, polygon, **known: (
-        seen.append(known | {"polygon": polygon}) or quality))  # fmt: skip
+    monkeypatch.setattr(repeatability, "evaluate_cloud", lambda points, **known: (
+        seen.append(known) or quality))  # fmt: skip
     surface = repeatability.Surface(None, np.eye(3))
     found = repeatability.selected(surface, [7])
     assert asked[0] == {"repeats": 1, "click": 0.015, "seed": [7], "vertices": 4}

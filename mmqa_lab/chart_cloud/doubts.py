@@ -12,7 +12,7 @@ from mmqa_lab.spacing.empty import space_within
 
 __all__ = [
     "is_below_step", "is_coarse", "of_copies", "of_pairs", "of_steps", "of_turns", "part_off",
-    "remarks_on_points", "remarks_on_surface",
+    "remarks_on",
 ]  # fmt: skip
 
 
@@ -62,13 +62,20 @@ MOST_FITTED = 10_000
 """Points that the plane of most points is fitted to."""
 
 
-def remarks_on_points(gaps, steps_mm, sigma_mm, hull_m2, outline_m2, axes):
-    """Return remarks on figures that these points cannot give or give wrongly."""
+def remarks_on(chart):
+    """Return what speaks against the figures of a chart, sentences."""
+    turns = sentences(of_turns(chart.beams)) if chart.n >= FEWEST_POINTS else ()
+    return (*_on_points(chart), *_on_surface(chart), *turns)
+
+
+def _on_points(chart):
+    """Remarks on figures that these points cannot give or give wrongly."""
+    gaps, step_mm = chart.spacing, chart.step_mm
+    outline_m2, hull_m2 = chart.outline.area, chart.area_hull_m2
     d1_mm, d2_mm = 1000 * gaps.d[:2]
     away = np.hypot(*(gaps.xy - np.median(gaps.xy, axis=0)).T)
     far = away > FAR_QUANTILES * np.percentile(away, 90)
-    step_mm, across_mm = steps_mm
-    coarse, steps = of_steps(step_mm, sigma_mm, d1_mm, across_mm)
+    coarse, steps = of_steps(step_mm, chart.sigma_mad_mm, d1_mm, chart.across_mm)
     without = " d1 to d4, f and g have no intervals." * bool(is_coarse(d1_mm, step_mm))
     return sentences(
         (coarse, steps + without),
@@ -90,7 +97,7 @@ def remarks_on_points(gaps, steps_mm, sigma_mm, hull_m2, outline_m2, axes):
         of_pairs(d1_mm, d2_mm),
         (gaps.n < FEWEST_POINTS, f"Fewer than {FEWEST_POINTS} points: no confidence intervals."),
         (
-            is_by_chance(gaps.xy, axes),
+            is_by_chance(gaps.xy, chart.axes),
             "Points spread alike in all directions: principal axes, and f, are by chance. So d1 to "
             "d4 and f have no intervals.",
         ),
@@ -138,18 +145,21 @@ def of_copies(same, n):
     return f"{share}: they raise the density."
 
 
-def remarks_on_surface(points, plane, xy, outline, has_polygon, step_mm, scale):
-    """Return remarks on what lies empty, and on a surface that is no plane with noise alone."""
-    residuals_mm = 1000 * plane.residuals
+def _on_surface(chart):
+    """Remarks on what lies empty, and on a surface that is no plane with noise alone."""
+    xy, outline, step_mm, scale = chart.xy, chart.outline, chart.across_mm, chart.scale
+    residuals_mm = 1000 * chart.plane.residuals
     space = space_within(xy, outline, most=GAP_PLACES)
     block = block_numbers(np.concatenate([space.places, xy]))
     small = block_numbers(xy, side=int(np.clip((len(xy) / 8) ** 0.5, 1, 8)))
     gaps: tuple[str, ...] = ()
     if outline.area:
+        has_polygon = np.isfinite(chart.area_polygon_m2)
         gaps = (*_gaps(space, has_polygon), *_uneven(block, len(space.places), outline.area))
     layers = _layers(residuals_mm, step_mm)
     form = _form(xy, residuals_mm, small, step_mm, scale)
-    return (*gaps, *layers, *_part(points, plane, scale, step_mm), *form)
+    part = _part(np.column_stack([xy, chart.plane.residuals]), scale, step_mm)
+    return (*gaps, *layers, *part, *form)
 
 
 def is_coarse(d1_mm: float, step_mm: float) -> bool:
@@ -275,15 +285,20 @@ def part_off(points, scale, step_mm=0.0):
     return off, checked_plane(points[~off])
 
 
-def _part(points, plane, scale, step_mm):
-    """A remark if a part that stands off turns the regression plane or widens sigma_MAD."""
-    off, without = part_off(points, scale, step_mm)
+def _part(local, scale, step_mm):
+    """A remark if a part that stands off turns the regression plane or widens sigma_MAD.
+
+    ``local``: points along two axes of this plane and across it, shape (n, 3), m.
+    """
+    off, without = part_off(local, scale, step_mm)
     if without is None:
         return ()
-    sigma_mm, alone_mm = (1000 * sigma_mad(one.residuals, scale) for one in (plane, without))
+    sigma_mm, alone_mm = (
+        1000 * sigma_mad(away, scale) for away in (local[:, 2], without.residuals)
+    )
     if sigma_mm <= MISLED * alone_mm + 1e-6:
         return ()
-    turn = np.degrees(np.arccos(min(1.0, abs(plane.normal @ without.normal))))
+    turn = np.degrees(np.arccos(min(1.0, abs(without.normal[2]))))
     return (
         f"{off.sum()} points ({100 * off.mean():.2g} %) stand off the others and turn the plane by "
         f"{turn:.2g} degrees: sigma_MAD is {sigma_mm:.1f} mm with them, {alone_mm:.1f} mm without.",

@@ -19,17 +19,13 @@ from mmqa_lab._checks import (
     polygon_rings,
     refuse,
 )
-from mmqa_lab._results import sentences
-from mmqa_lab.chart_cloud.doubts import of_turns, remarks_on_points, remarks_on_surface
 from mmqa_lab.chart_cloud.quality import CloudQuality
 from mmqa_lab.cloud import Cloud, step_of
 from mmqa_lab.planes import CONSISTENT_SCALE, checked_plane, sigma_mad
-from mmqa_lab.spacing.directions import FEWEST_POINTS
 from mmqa_lab.spacing.quadrants import checked_spacing
 
 __all__ = [
-    "CHART_MARGINS_M", "bare_chart", "chart_polygon", "evaluate_cloud", "inside_polygon",
-    "plan_chart",
+    "CHART_MARGINS_M", "chart_polygon", "evaluate_cloud", "inside_polygon", "plan_chart",
 ]  # fmt: skip
 
 
@@ -123,26 +119,6 @@ def evaluate_cloud(
     >>> quality.n, round(quality.d1_mm), round(quality.d4_mm), round(quality.f, 1)
     (200, 20, 40, 2.0)
     """
-    return _evaluated(points, polygon, thickness, axes, radius, scale, rho0)
-
-
-def bare_chart(points, polygon, **choices):
-    """The chart of :func:`evaluate_cloud` without remarks, for many: they take half of its time.
-
-    >>> x, y = np.meshgrid(np.arange(20) * 0.02, np.arange(10) * 0.04)
-    >>> points = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
-    >>> found = bare_chart(points, [[0, 0, 0], [0.3, 0, 0], [0.3, 0.3, 0], [0, 0.3, 0]])
-    >>> found.n, found.remarks
-    (98, ())
-    """
-    return _evaluated(points, polygon, **choices, remarked=False)
-
-
-def _evaluated(
-    points, polygon, thickness=0.1, axes=None, radius=0.5, scale=CONSISTENT_SCALE, rho0=None,
-    remarked=True,
-):  # fmt: skip
-    """The chart of points, see :func:`evaluate_cloud`."""
     resolution = getattr(points, "resolution", np.nan)
     ring = points.columns.get("ring", ()) if isinstance(points, Cloud) else ()
     points = check_points(points, minimum=3)
@@ -168,20 +144,16 @@ def _evaluated(
     hull = shapely.convex_hull(shapely.linestrings(xy))
     outline = hull if polygon is None else outline_on(polygon, framed, surface.normal)
     gaps = checked_spacing(xy, radius)
-    steps_mm = step_mm, across_mm
-    given, remarks = polygon is not None, ()
-    if remarked:
-        remarks = remarks_on_points(gaps, steps_mm, sigma_mad_mm, hull.area, outline.area, axes)
-        remarks += remarks_on_surface(points, plane, xy, outline, given, across_mm, scale)
-        remarks += sentences(of_turns(len(np.unique(ring)))) if gaps.n >= FEWEST_POINTS else ()
     return CloudQuality(
-        area_polygon_m2=outline.area if given else np.nan,
+        area_polygon_m2=np.nan if polygon is None else outline.area,
         area_hull_m2=float(hull.area),
         sigma_mad_mm=sigma_mad_mm,
         axes=axes if isinstance(axes, str) else f"principal + {float(axes):g} degrees",
         rho0_per_m2=rho0,
         step_mm=step_mm,
-        remarks=remarks,
+        across_mm=across_mm,
+        scale=scale,
+        beams=len(np.unique(ring)),
         plane=framed,
         spacing=gaps,
         outline=outline,
@@ -200,7 +172,9 @@ def plan_chart(points, side, radius):
         axes="of the plan",
         rho0_per_m2=np.nan,
         step_mm=np.nan,
-        remarks=(),
+        across_mm=np.nan,
+        scale=CONSISTENT_SCALE,
+        beams=0,
         plane=plane,
         spacing=checked_spacing(np.ascontiguousarray(points[:, :2]), radius),
         outline=outline,

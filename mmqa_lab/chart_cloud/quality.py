@@ -15,7 +15,7 @@ import shapely
 from mmqa_lab import stats
 from mmqa_lab._checks import check_positive
 from mmqa_lab._results import Shown, printed
-from mmqa_lab.chart_cloud.doubts import is_below_step, is_by_chance, is_coarse
+from mmqa_lab.chart_cloud.doubts import is_below_step, is_by_chance, is_coarse, remarks_on
 from mmqa_lab.metrics.pattern import Pattern
 from mmqa_lab.planes import Plane
 from mmqa_lab.spacing import (
@@ -57,9 +57,12 @@ class CloudQuality(Shown):
         Required density; NaN if not given.
     step_mm : float
         The step that coordinates were rounded to.
-    remarks : tuple of str
-        Warnings about the figures, for example on coordinates that are too coarse, coincident
-        points or random axes.
+    across_mm : float
+        Their step along the normal, larger where one axis has fewer digits.
+    scale : float
+        Factor of sigma_MAD.
+    beams : int
+        Beams of a spinning scanner that the points come from; 0 if it is not known.
     plane : Plane
         The regression plane of the points; its axes are those of the quadrants.
     spacing : Spacing
@@ -82,10 +85,17 @@ class CloudQuality(Shown):
     axes: str
     rho0_per_m2: float
     step_mm: float
-    remarks: tuple[str, ...]
+    across_mm: float
+    scale: float
+    beams: int
     plane: Plane = field(repr=False)
     spacing: Spacing = field(repr=False)
     outline: Any = field(repr=False)
+
+    @cached_property
+    def remarks(self) -> tuple[str, ...]:
+        """Warnings about the figures, for example on coordinates that are too coarse."""
+        return remarks_on(self)
 
     @property
     def n(self) -> int:

@@ -10,8 +10,7 @@ import numpy as np
 
 from mmqa_lab import bench as benches
 from mmqa_lab import published
-from mmqa_lab.chart_cloud import CHART_MARGINS_M, chart_polygon
-from mmqa_lab.chart_cloud.evaluate import bare_chart
+from mmqa_lab.chart_cloud import CHART_MARGINS_M, chart_polygon, evaluate_cloud
 from mmqa_lab.cloud import Cloud
 from mmqa_lab.planes import CONSISTENT_SCALE, PAPER_SCALE
 from mmqa_lab.simulate import chart_corners, systems
@@ -77,7 +76,7 @@ def read(cloud, *, density="hull", spread="sigma_mad", scale=PAPER_SCALE, margin
     """
     corners = chart_corners((0, 0, 0), heading=systems.FACING_THE_ROAD)
     polygon = chart_polygon(corners, margins=margins)
-    quality = bare_chart(cloud, polygon, thickness=0.2, axes="principal", scale=scale)
+    quality = evaluate_cloud(cloud, polygon=polygon, thickness=0.2, axes="principal", scale=scale)
     return {
         "density_per_m2": getattr(quality, f"density_{density}_per_m2"),
         "precision_mm": getattr(quality, f"{spread}_mm"),

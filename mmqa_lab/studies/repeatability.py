@@ -9,8 +9,7 @@ import pandas as pd
 
 from mmqa_lab import bench as benches
 from mmqa_lab import io, samples
-from mmqa_lab.chart_cloud import chart_polygon
-from mmqa_lab.chart_cloud.evaluate import bare_chart
+from mmqa_lab.chart_cloud import chart_polygon, evaluate_cloud
 from mmqa_lab.planes import fit_plane
 from mmqa_lab.repeatability import operator_polygons, repeatability
 from mmqa_lab.simulate import chart_corners, systems
@@ -87,7 +86,7 @@ def selected(surface, seed, *, click_m=0.015, vertices=4, axes="principal"):
     """
     choices = {"repeats": 1, "click": click_m, "seed": seed, "vertices": vertices}
     polygon = operator_polygons(surface.corners, **choices)[0]
-    return figures(bare_chart(surface.points, polygon, axes=axes))
+    return figures(evaluate_cloud(surface.points, polygon=polygon, axes=axes))
 
 
 def figures(quality):

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 from scipy.spatial import cKDTree
 
-from mmqa_lab.chart_cloud.evaluate import bare_chart
+from mmqa_lab.chart_cloud import evaluate_cloud
 from mmqa_lab.metrics import METRICS
 from mmqa_lab.scan_pattern import ScanSetup, Target, scan_lattice
 from mmqa_lab.studies.fitness.acquisitions import KINDS, SQUARE, acquisitions, drive
@@ -116,7 +116,7 @@ def _board(case, far, turn_deg, rng):
     points, _, axes = drive(placed, rng, only="board")
     if len(points["board"]) < 10:
         return dict.fromkeys(METRICS_MOVED, np.nan)
-    chart = bare_chart(points["board"] @ axes["board"], SQUARE @ axes["board"])
+    chart = evaluate_cloud(points["board"] @ axes["board"], polygon=SQUARE @ axes["board"])
     return {name: METRICS[name](chart) for name in METRICS_MOVED}
 
 
