@@ -221,7 +221,6 @@ TYPED = {
     "rep22": "follows from a quantile of the normal distribution",
     "aniso00": "the paper's threshold",
     "lhd20": "worked out by hand from the formula",
-    "lhd38": "a limit that the cell sets",
     "pol27-text": "the report's corridor",
     "resolution-05": "the frequency asked for",
     "resolution-27": "published",
