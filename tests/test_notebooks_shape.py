@@ -127,7 +127,7 @@ NO_VERDICT = {
     "On streets of the kind it was trained on": "methods against each other",
     "The street was chosen for it": "Wilson intervals of both, and it says so",
     "The scan-line method finds a smaller share": "ours against ours",
-    "Sheets predict heights better": "a prediction against a constant",
+    "Sheets meet more heights": "a prediction against a constant",
     "Pixels of A are coarser": "how far, where the ledger says that they differ",
     "One number of pixels a pair": "rules against each other",
     "Contrast alone accepts": "bars that are printed on a chart",
