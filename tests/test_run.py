@@ -237,16 +237,21 @@ def test_a_figure_has_its_data_a_caption_and_a_licence(run):
     assert (captions["licence"] == "CC BY 4.0").all()
 
 
-def test_a_notebook_shows_captions_and_letters_and_its_page_leaves_bookkeeping_out(tmp_path):
+def test_a_notebook_shows_captions_and_letters_and_its_page_has_solutions_of_what_is_folded(
+    tmp_path,
+):
     cells = [
         "%matplotlib inline\nfrom mmqa_lab import plots\nfrom mmqa_lab.run import Run\n"
         "run = Run('shown', parameters=globals())",
         "figure, axes = plots.subplots(1, 2)",
         "print([ax.texts[0].get_text() for ax in axes])\n"
         "run.save_figure(figure, 'two', kind='predicted', seen='Two panels.')",
+        "drawn = axes[0].fill([0, 1, 1], [0, 0, 1])",
+        "solved = 1 + 1",
     ]
     notebook = nbformat.v4.new_notebook(cells=[*map(nbformat.v4.new_code_cell, cells)])
-    notebook.cells[2].metadata["tags"] = ["results"]
+    for number, tags in ((2, ["results"]), (3, []), (4, ["solution"])):
+        notebook.cells[number].metadata |= {"tags": tags, "jupyter": {"source_hidden": True}}
     assert notebooks.execute(notebook, tmp_path, results=tmp_path) == ""
     letters, caption = notebook.cells[2].outputs
     assert letters["text"] == "['(a)', '(b)']\n"  # the picture above has them, too
@@ -254,6 +259,9 @@ def test_a_notebook_shows_captions_and_letters_and_its_page_leaves_bookkeeping_o
     page = pages.notebook_page(notebook, "Shown")
     assert "Two panels." in page
     assert "save_figure" not in page
+    assert "drawn" not in page
+    assert "subplots" in page
+    assert "solved" in page
 
 
 def test_a_figure_is_laid_out_once_and_its_many_points_are_pixels(run, monkeypatch):

@@ -128,9 +128,10 @@ def write_ledger(path, rows, quick=False):
 
 
 def notebook_page(notebook, title, *, above=()):
-    """Return an executed notebook as a page without the code of its bookkeeping.
+    """Return an executed notebook as a page without the code that keeps books or only draws.
 
-    The notebook's own texts change.
+    Of cells that JupyterLab folds the page has the code of solutions alone. The notebook's own
+    texts and tags change.
 
     Parameters
     ----------
@@ -148,13 +149,16 @@ def notebook_page(notebook, title, *, above=()):
         if cell.cell_type == "markdown":
             heading = [heading, *HEADLINE.findall(cell.source)][-1]
             cell.source = FORMULA.sub(_mathml, cell.source)
+        tags = cell.metadata.setdefault("tags", [])
+        if cell.metadata.get("jupyter", {}).get("source_hidden") and "solution" not in tags:
+            tags.append("folded")
         seen = CAPTION.findall(cell.source)
         for output in cell.get("outputs", []):
             if "image/png" in output.get("data", {}):
                 _name_picture(output, seen.pop(0) if seen else f"Figure, {heading}")
     notebook.cells.insert(0, new_markdown_cell("\n\n".join([filled("notebook.html"), *above])))
     notebook.metadata["title"] = title
-    folded = TagRemovePreprocessor(remove_input_tags={"results"})
+    folded = TagRemovePreprocessor(remove_input_tags={"folded"})
     body, _ = HTMLExporter(preprocessors=[folded]).from_notebook_node(notebook)
     return re.sub(r"(?s)<script.*?</script>", "", body)  # they would ask the network
 

@@ -303,7 +303,7 @@ FAULTS = (
     ("widgets", "marks.set_data([], [])", "pass", "test_widgets_selection.py"),
     ("run", '{"lesson", "results"}', '{"lesson"}', "test_students.py"),
     ("run", "finish_figure(plt.figure(number))", "pass", "test_run.py"),
-    ("run", 'remove_input_tags={"results"}', "remove_input_tags=set()", "test_run.py"),
+    ("run", 'remove_input_tags={"folded"}', "remove_input_tags=set()", "test_run.py"),
     ("run", 'f"{seen} Numbers: {kind}."', "seen", "test_run.py"),
     ("run", 'os.environ.get("JPY_SESSION_NAME", "")', '""', "test_run.py"),
     ("run", 'ValueError(f"Invalid notebook {cause}', 'RuntimeError(f"{cause}',
