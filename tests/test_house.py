@@ -119,7 +119,7 @@ def test_each_room_has_a_test_file_by_its_name():
 GONE = {
     "chart_image.quality_index": "three quarters of the capitals over w",
     "chart_image.rules.quality_index": "three quarters of the capitals over w",
-    "chart_image.rules.colour_fringes": "study 09, where it is a cell",
+    "chart_image.rules.colour_fringes": "the range of find_tones of the three colours",
     "chart_image.rules.expected_marks": "tender.published_results(by_pixels=True)",
     "studies.poles_training.calibrated": "tests/poles_training.py",
     "studies.poles_training.example": "tests/poles_training.py",
