@@ -107,6 +107,8 @@ def test_each_check_of_the_notebook_can_fail():
         "best": {"exact": 16.0},
         "other_systems": 14,
         "baseline": 9,
+        "lead_low": 1.0,
+        "lead_high": 9.0,
         "n": 22,
         "fitted_px": 2.77,
         "comparison": SimpleNamespace(cases=[1]),
