@@ -276,7 +276,8 @@ class Run:
         reason : str
             The reason for the tolerance.
         """
-        print(f"check: {'yes' if passed else 'NO'}. {statement} Here {obtained} ({reason}).")
+        found = "passed" if passed else "FAILED"
+        print(f"Check {found}: {statement} Found: {obtained}. Why this limit: {reason}.")
         row = {"statement": statement, "passed": bool(passed), "obtained": obtained}
         self._checks[statement] = row | {"reason": reason}
         self._record["checks"] = list(self._checks.values())
