@@ -276,7 +276,7 @@ class Run:
         reason : str
             The reason for the tolerance.
         """
-        print(f"Check {'passed' if passed else 'FAILED'}: {statement} Found: {obtained} ({reason}).")
+        print(f"Check {'passed' if passed else 'FAILED'}: {statement} Found {obtained} ({reason}).")
         row = {"statement": statement, "passed": bool(passed), "obtained": obtained}
         self._checks[statement] = row | {"reason": reason}
         self._record["checks"] = list(self._checks.values())
