@@ -115,8 +115,8 @@ def test_each_check_can_fail():
     changes = {
         "The root of squares": {"agree": 0.4},
         "Simulated heights fall": {"held": 7},
-        "Sheets predict": {"by_sheets": 8},
-        "Sheets predict heights": {"strict": 8},
+        "Sheets meet": {"by_sheets": 8},
+        "Sheets meet more heights": {"strict": 8},
         "A wrong roll": {"steep": 0.3},
         "Two drives determine": {"passed": False},
         "Calibration makes": {"largest": 3.0},
