@@ -115,7 +115,7 @@ def mpv(chart):
 
 
 @metric(
-    "1", "less", "Droeschel and Behnke 2014, doi:10.1109/ICRA.2014.6907651 (radius 10 cm)",
+    "1", "less", "Droeschel, Stückler and Behnke 2014, ICRA (radius 10 cm)",
     r"\mathrm{mean}\,\tfrac12 \ln |2 \pi e \Sigma|",
     "It counts the spread in the plane with the noise across it. Thin clouds look better: a plane "
     "through few points takes noise away.",

@@ -33,7 +33,7 @@ SHARES = 0.5 ** np.arange(8)
 """Shares of the points that are left."""
 
 STREETS = {
-    "road, two drives": ROAD,
+    "road, thinned": ROAD,
     "street, profiles (Oakland)": "oakland/part2_ac.laz",
     "street, solid state": "public/livox_source.pcd",
     "street, profiles (Lille)": "lille_street",
