@@ -66,7 +66,7 @@ def before_the_answers(study, folder):
 NEED_MANY = {
     "fitness": {
         "The noise of a mean tells better than f which clouds do for relief, kerb and pothole.",
-        "For relief and wire a metric that a half of the clouds chooses tells the other half.",
+        "For relief and wire a metric chosen by one half of the clouds beats a coin on the other.",
     },
     "test_field": {"A roll of tenths of a degree costs more in height than all other errors."},
 }
