@@ -123,7 +123,7 @@ def _answer(notebook, record, folder):
     first = next(cell for cell in notebook.cells if cell.cell_type == "markdown")
     content = _shrunk((folder / f"{figure}.png").read_bytes(), ANSWER_PX)
     said = f"**Answer. {record['answer']['short']}** {record['answer']['sentence']}\n\n"
-    said += f"![{re.sub(r'[][]', '', record['figures'][figure])}](attachment:answer.png)\n\n"
+    said += "![Answer](attachment:answer.png)\n\n"
     first.source = ANSWER.sub(lambda _: said, first.source)
     first.attachments = {"answer.png": {"image/png": base64.b64encode(content).decode()}}
 
