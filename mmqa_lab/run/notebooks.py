@@ -11,7 +11,6 @@ import os
 import re
 import subprocess
 import time
-from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal, localcontext
 from operator import ne
 from pathlib import Path
 
@@ -25,7 +24,6 @@ from scipy.spatial import cKDTree
 
 from mmqa_lab import plots, published
 from mmqa_lab.io import write_atomically
-from mmqa_lab.metrics import METRICS
 from mmqa_lab.metrics.registry import CURVES
 from mmqa_lab.published.ledger import collect, summary
 from mmqa_lab.run.pages import ANSWERS, LEDGER, notebook_page, stored_answers
@@ -251,22 +249,12 @@ def _renew_readme(readme, answers, counts=None, width=None):
 
 def _renew_advice(readme, found):
     """Write the advised metrics of tasks into the README's table."""
-    rows = ["|task|ask for|balanced accuracy|", "|---|---|---|"]
-    found = found[found["advised"] == "yes"]
-    for row in found.itertuples():
-        one = METRICS[row.method]
-        end = {"less": "at most", "more": "at least"}[one.better]
-        known = pd.notna(row.nine_of_ten)
-        strict = ROUND_CEILING if one.better == "more" else ROUND_FLOOR
-        with localcontext(prec=2, rounding=strict):
-            nine = f"{+Decimal(row.nine_of_ten):f}" if known else ""
-        nine = f"{end} {nine} {one.unit}" if known else "no limit"
-        score = f"{row.balanced:.2f} ({row.low:.2f} to {row.high:.2f})"
-        rows.append(f"|{row.words}|`{row.method}` {nine}|{score}|")
+    rows = ["|task|ask for|kept by|", "|---|---|---|"]
+    for row in found[found["advised"] == "yes"].itertuples():
+        kept = f"{row.kept_by} of {row.n}"
+        rows.append(f"|{row.words}|`{row.method}` {row.ask_for}|{kept}|")
     text = readme.read_text(encoding="utf-8")
     text = re.sub(r"\|task\|ask for(?:[^\n]+\n)+", "\n".join([*rows, ""]), text)
-    less = (found["beside"] - found["elsewhere"]).max()
-    text = re.sub(r"(elsewhere it falls by at most )\d\.\d+", rf"\g<1>{less:.2f}", text)
     write_atomically(readme, text)
 
 
