@@ -190,7 +190,7 @@ def test_the_readme_is_short_and_has_the_stored_answers():
         row = [f"{scores.loc[(task, one), 'balanced']:.2f}" for one in (name, "density", "f")]
         assert f"|{name.replace('_', ' ')}|{'|'.join(row)}|\n" in text
         assert (scores.loc[(task, "density"), "behind_low"] > 0) == shown
-    assert "Of these leads over density only that for waves is shown." in said
+    assert "Only the lead for waves over density is shown." in said
     real = pd.read_csv(notebooks_folder() / "paper/from_runs/fitness/real_ranks.csv")
     asked_of_real = ("f", "noise_of_a_mean", "e95")
     potholes = real[real["task"] == "pothole_percent"]
@@ -205,15 +205,15 @@ def test_the_readme_is_short_and_has_the_stored_answers():
     assert f"{counts['fitted']} served to fit, and {counts['not comparable']} are not" in text
     measured = (notebooks_folder().parent / "tests/benchmarks/RESULTS.md").read_text("utf-8")
     row = r"^\| 0\.[45] \| (\d+)/(\d+), \d+/\d+ \| \d+/\d+, (\d+)/(\d+) \|"
-    (was, _, *before), (found, poles, *now) = re.findall(row, measured, flags=re.MULTILINE)
+    (was, _, *before), (found, _, *now) = re.findall(row, measured, flags=re.MULTILINE)
     share, once = (f"{100 * int(right) / int(finds):.0f} %" for right, finds in (now, before))
     for command, timed in (("studies", r"alone: ([\d.]+) minutes"), ("test", r"([\d.]+) of wall")):
         minutes = float(re.search(timed, measured)[1])
         assert f"mmqa_lab {command} " in text
         assert int(re.search(rf"mmqa_lab {command} +# (\d+) minutes", text)[1]) == round(minutes)
-    line = f"finds {found} of {poles} real poles, whose street guided its training; in 0.4 it found"
-    line += f" {was}. Among look-alikes {share} of its finds are right; in 0.4 it was {once}."
-    assert line in said
+    assert int(found) > int(was)
+    line = f"finds more than in 0.4, but among look-alikes {share} of its finds are right; it was"
+    assert f"{line} {once}." in said
 
 
 def test_new_answers_come_into_the_readme(tmp_path):
