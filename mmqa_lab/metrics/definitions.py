@@ -42,8 +42,8 @@ def sigma_mad(chart):
 @metric(
     "mm m", "less", "Lague et al. 2013, section 3.3, doi:10.1016/j.isprsjprs.2013.04.009",
     r"\sigma_\mathrm{MAD} / \sqrt{\rho}",
-    "Errors that neighbours share, copies, noise that hides a thing at any density; times 1/L it is "
-    "the error of a mean over L x L.",
+    "Errors that neighbours share, copies, noise that hides a thing at any density; times 1/L it "
+    "is the error of a mean over L x L.",
 )  # fmt: skip
 def noise_of_a_mean(chart):
     """Standard error of the mean of a patch of 1 m x 1 m."""
