@@ -106,7 +106,7 @@ def test_each_check_can_fail():
     }
     assert spoiled("repeatability", whole) == []
     changes = {
-        "In every figure": {"of_selections": parts + 0.2},
+        "In every metric": {"of_selections": parts + 0.2},
         "Five simulated selections of B at 10 m: sigma_MAD": {"agrees": False},
         "Five simulated selections of B at 10 m: the density": {"dense": pd.Series([95.0, 99.0])},
         "All intervals": {
