@@ -103,11 +103,10 @@ def test_bench_scores_a_true_mounting_and_none():
 
 def test_each_check_can_fail():
     baseline = pd.DataFrame({"columns": [14]}, ["height_std"])
-    slopes = pd.DataFrame({"slope": [2.0, 0.1]}, ["roamer I", "roamer"])
     rest = pd.Series({0.003: 4.0})
     real = {"relative": 19.0, "absolute": 48.0, "samples": None}
     whole = {"agree": 0.1, "by_sheets": 14, "by_constant": 8, "baseline": baseline}
-    whole |= {"steep": 2.0, "flat": 0.1, "trends": slopes, "off": {False: 0.001, True: 0.001}}
+    whole |= {"off": {False: 0.001, True: 0.001}}
     whole |= {"passed": True, "covered": pd.Series([True]), "largest": 1.1, "rest": rest}
     whole |= {"before": 10 * rest, "mean": {"I": 30.0, "II": 13.0}} | real
     whole |= {"held": 10, "of_drives": 10, "strict": 9, "strict_constant": 8}
@@ -117,7 +116,6 @@ def test_each_check_can_fail():
         "Simulated heights fall": {"held": 7},
         "Sheets meet": {"by_sheets": 8},
         "Sheets meet more heights": {"strict": 8},
-        "A wrong roll": {"steep": 0.3},
         "Two drives determine": {"passed": False},
         "Calibration makes": {"largest": 3.0},
         "A roll of tenths": {"mean": {"I": 15.0, "II": 13.0}},
