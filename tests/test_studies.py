@@ -220,9 +220,9 @@ def test_a_cloud_that_cannot_be_used_is_a_sentence_beside_the_others(
     ):
         assert said.count(part) == 1
     assert scope["tool"].name == "wall"
-    assert "(>= 1700 asked)" in said
-    assert "detail: " in said
-    assert "step: not known. noise_of_a_mean lies outside of what was tried" in said
+    assert ">= 1700 is asked" in said
+    assert "The smallest detail" in said
+    assert "step is not known. noise_of_a_mean lies outside of what was tried" in said
 
 
 @pytest.fixture
