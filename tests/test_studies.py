@@ -304,6 +304,12 @@ def test_studies_are_chosen_by_stem_or_notebook_name():
     assert STUDIES[0].path.parent == notebooks_folder()
 
 
+@pytest.mark.parametrize("study", STUDIES, ids=lambda study: study.stem)
+def test_a_study_asks_the_same_wherever_it_is_listed(study):
+    first = nbformat.read(study.path, as_version=4).cells[0].source
+    assert study.question in " ".join(first.replace("*", "").split())
+
+
 def test_a_killed_run_leaves_whole_files_and_the_next_run_clears_the_rest(tmp_path, monkeypatch):
     command = [sys.executable, "-m", "mmqa_lab", "studies", "mimic", "--quick"]
     study = tmp_path / "mimic"
