@@ -190,14 +190,15 @@ def test_the_readme_is_short_and_has_the_stored_answers():
         row = [f"{scores.loc[(task, one), 'balanced']:.2f}" for one in (name, "density", "f")]
         assert f"|{name.replace('_', ' ')}|{'|'.join(row)}|\n" in text
         assert (scores.loc[(task, "density"), "behind_low"] > 0) == shown
-    assert "Only the lead for waves over density is shown." in said
+    assert "Here density is shown to be beaten for waves alone." in said
     real = pd.read_csv(notebooks_folder() / "paper/from_runs/fitness/real_ranks.csv")
     asked_of_real = ("f", "noise_of_a_mean", "e95")
     potholes = real[real["task"] == "pothole_percent"]
     assert len(potholes) == (potholes["e95"] > potholes["noise_of_a_mean"]).sum() == 4
+    real = real[~real["data"].isin(["road, drive against drive", "boards"])]
     of_f, of_noise, of_e95 = ((real["density"] > real[name]).sum() for name in asked_of_real)
-    line = f"density orders {of_f} of {len(real)} rankings better than f, {of_noise} better than"
-    assert f"{line} the noise of a mean, and {of_e95} better than e95." in said
+    line = f"Density orders {of_f} of their {len(real)} rankings better than f, {of_noise} than the"
+    assert f"{line} noise of a mean, and {of_e95} than e95." in said
     wires = kinds[(kinds["task"] == "wire_m") & (kinds["method"] == "disc_q05")]
     wires = wires.loc[wires["scanners"] != "pooled", "limit"]
     assert round(wires.max() / wires.min()) == 12
@@ -205,15 +206,13 @@ def test_the_readme_is_short_and_has_the_stored_answers():
     assert f"{counts['fitted']} served to fit, and {counts['not comparable']} are not" in text
     measured = (notebooks_folder().parent / "tests/benchmarks/RESULTS.md").read_text("utf-8")
     row = r"^\| 0\.[45] \| (\d+)/(\d+), \d+/\d+ \| \d+/\d+, (\d+)/(\d+) \|"
-    (was, _, *before), (found, _, *now) = re.findall(row, measured, flags=re.MULTILINE)
+    (_, _, *before), (_, _, *now) = re.findall(row, measured, flags=re.MULTILINE)
     share, once = (f"{100 * int(right) / int(finds):.0f} %" for right, finds in (now, before))
     for command, timed in (("studies", r"alone: ([\d.]+) minutes"), ("test", r"([\d.]+) of wall")):
         minutes = float(re.search(timed, measured)[1])
         assert f"mmqa_lab {command} " in text
         assert int(re.search(rf"mmqa_lab {command} +# (\d+) minutes", text)[1]) == round(minutes)
-    assert int(found) > int(was)
-    line = f"finds more than in 0.4, but among look-alikes {share} of its finds are right; it was"
-    assert f"{line} {once}." in said
+    assert f"poles {share} of the detector's finds are right; it was {once} in 0.4." in said
 
 
 def test_new_answers_come_into_the_readme(tmp_path):
