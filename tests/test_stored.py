@@ -190,7 +190,7 @@ def test_the_readme_is_short_and_has_the_stored_answers():
         row = [f"{scores.loc[(task, one), 'balanced']:.2f}" for one in (name, "density", "f")]
         assert f"|{name.replace('_', ' ')}|{'|'.join(row)}|\n" in text
         assert (scores.loc[(task, "density"), "behind_low"] > 0) == shown
-    assert "Here density is shown to be beaten for waves alone." in said
+    assert "Only for waves is density shown to be beaten." in said
     real = pd.read_csv(notebooks_folder() / "paper/from_runs/fitness/real_ranks.csv")
     asked_of_real = ("f", "noise_of_a_mean", "e95")
     potholes = real[real["task"] == "pothole_percent"]
