@@ -85,6 +85,18 @@ def test_the_readme_advises_what_real_clouds_do_not_contradict(tmp_path):
     ]
 
 
+def test_the_readme_asks_for_no_less_than_the_stored_limits():
+    text = (notebooks_folder().parent / "README.md").read_text(encoding="utf-8")
+    found = pd.read_csv(notebooks_folder() / "paper/from_runs/fitness/advice.csv")
+    found = found[found["advised"] == "yes"]
+    for row in found.itertuples():
+        end, asked = re.match(r"(at \w+) ([\d.]+) ", f"{row.ask_for} ").groups()
+        stricter = float(asked) / row.nine_of_ten
+        assert 0.9 < stricter <= 1 if end == "at most" else 1 <= stricter < 1.1
+        assert f"|{row.words}|`{row.method}` {row.ask_for}|{row.kept_by} of {row.n}|\n" in text
+    assert len(found) == len(re.findall(r"^\|.*\d+ of \d+\|$", text, flags=re.MULTILINE)) > 0
+
+
 def test_what_is_stored_is_small_and_needs_no_kernel(tmp_path):
     study, results = Ran(tmp_path), tmp_path / "results" / "ran"
     content, coded = picture(1500)
